@@ -5,30 +5,36 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use testkit::cargo::workspace;
+
 /// The directories with documents.
-const DIRECTORIES: [&str; 7] =
-    ["", "canopen-node", "docs", "fuzz", "lss-master", "lss-slave", "tests/clients"];
+const DIRECTORIES: [&str; 7] = [
+    "",
+    "docs",
+    "libs/canopen-node",
+    "libs/lss-master",
+    "libs/lss-slave",
+    "proof/fuzz",
+    "tests/clients",
+];
 /// Directories that commands make.
-const MADE: [&str; 2] = ["target/", "fuzz/artifacts/"];
+const MADE: [&str; 2] = ["target/", "proof/fuzz/artifacts/"];
 /// The greatest width of prose; tables and printed output may be wider.
 const WIDTH: usize = 120;
 /// The endings that make a word with a slash the path of a file.
 const ENDINGS: [&str; 8] = [".eds", ".js", ".md", ".py", ".rs", ".svg", ".toml", ".x"];
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
 /// The path of each document, from the root on, and its text.
 fn documents() -> Vec<(PathBuf, String)> {
     let entries = DIRECTORIES.iter().flat_map(|directory| {
-        let entries = fs::read_dir(root().join(directory)).expect("a directory with documents");
+        let entries =
+            fs::read_dir(workspace().join(directory)).expect("a directory with documents");
         entries.map(|entry| entry.expect("an entry").path())
     });
     let documents = entries.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
     let with_text = documents.map(|path| {
         let text = fs::read_to_string(&path).expect("a document is text");
-        (path.strip_prefix(root()).expect("it is below the root").to_owned(), text)
+        (path.strip_prefix(workspace()).expect("it is below the root").to_owned(), text)
     });
     with_text.collect()
 }
@@ -83,8 +89,8 @@ fn every_link_leads_to_a_file_and_to_a_heading_in_it() {
         for link in links(&text).filter(|link| !link.contains("://")) {
             let (path, heading) = link.split_once('#').unwrap_or((link, ""));
             let target = match path {
-                "" => root().join(&document),
-                path => root().join(&document).with_file_name(path),
+                "" => workspace().join(&document),
+                path => workspace().join(&document).with_file_name(path),
             };
             let leads = match fs::read_to_string(&target) {
                 Ok(text) => heading.is_empty() || has_heading(&text, heading),
@@ -102,10 +108,10 @@ fn every_link_leads_to_a_file_and_to_a_heading_in_it() {
 fn every_path_that_a_document_names_exists() {
     let mut faults = Vec::new();
     for (document, text) in documents() {
-        let own = root().join(&document).with_file_name("");
-        let folders = ["", "canopen-node/src", "lss-slave/src", "template"];
+        let own = workspace().join(&document).with_file_name("");
+        let folders = ["", "libs/canopen-node/src", "libs/lss-slave/src", "template"];
         let places: Vec<_> =
-            folders.map(|folder| root().join(folder)).into_iter().chain([own]).collect();
+            folders.map(|folder| workspace().join(folder)).into_iter().chain([own]).collect();
         let is_made = |path: &&str| MADE.iter().any(|directory| path.starts_with(directory));
         for path in paths(&text).filter(|path| !is_made(path)) {
             if !places.iter().any(|place| exists(place, path)) {
@@ -119,8 +125,9 @@ fn every_path_that_a_document_names_exists() {
 #[test]
 fn every_command_of_the_project_that_a_document_names_exists() {
     let mut faults = Vec::new();
-    for tool in ["xtask", "verify"] {
-        let main = fs::read_to_string(root().join(tool).join("src/main.rs")).expect("the commands");
+    for tool in ["tools/xtask", "proof/verify"] {
+        let main =
+            fs::read_to_string(workspace().join(tool).join("src/main.rs")).expect("the commands");
         let run = |name: &str| format!("=> {}::run(", name.replace('-', "_"));
         for (document, text) in documents() {
             for command in text.split(&format!("cargo {tool} ")).skip(1) {
@@ -137,7 +144,7 @@ fn every_command_of_the_project_that_a_document_names_exists() {
 
 #[test]
 fn every_rule_of_the_conformance_names_tests_that_exist() {
-    let text = fs::read_to_string(root().join("docs/conformance.md")).expect("the rules");
+    let text = fs::read_to_string(workspace().join("docs/conformance.md")).expect("the rules");
     let mut faults = Vec::new();
     for row in text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| rule |")) {
         let proofs = row.trim_end_matches(" |").rsplit("| ").next().unwrap_or_default();
@@ -154,15 +161,15 @@ fn every_rule_of_the_conformance_names_tests_that_exist() {
 fn is_test(name: &str) -> bool {
     let (module, function) = name.rsplit_once("::").unwrap_or_default();
     let (folder, module) = match module.split_once("::") {
-        Some(("canopen_node", module)) => ("canopen-node/src", module),
-        Some(("canopen_stm32f4", module)) => ("stm32f4/src", module),
-        Some(("lss_master", module)) => ("lss-master/tests", module),
-        Some(("lss_slave", module)) => ("lss-slave/src", module),
+        Some(("canopen_node", module)) => ("libs/canopen-node/src", module),
+        Some(("canopen_stm32f4", module)) => ("boards/stm32f4/src", module),
+        Some(("lss_master", module)) => ("libs/lss-master/tests", module),
+        Some(("lss_slave", module)) => ("libs/lss-slave/src", module),
         Some(("example_io", module)) => ("examples/io/src", module),
         Some(("example_thermo", module)) => ("examples/thermo/tests", module),
         _ => ("tests", module),
     };
-    let path = root().join(folder).join(module.replace("::", "/"));
+    let path = workspace().join(folder).join(module.replace("::", "/"));
     let files = [path.with_extension("rs"), path.join("tests.rs")];
     let texts: String = files.iter().filter_map(|path| fs::read_to_string(path).ok()).collect();
     texts.contains(&format!("fn {function}() {{")) || function == "*" && !texts.is_empty()
@@ -191,7 +198,7 @@ fn faults_of_a_document_are_detected() {
     assert!(has_heading("# One\n\n## Two, 3\n", "two-3") && !has_heading("## One\n", "two"));
     let words = "See `src/main.rs`, docs/ and tests/*.rs, not 1/2, a/b or https://probe.rs/x.rs.";
     assert_eq!(paths(words).collect::<Vec<_>>(), ["src/main.rs", "docs/", "tests/*.rs"]);
-    assert!(exists(root(), "tests/doc*.rs") && !exists(root(), "tests/doc*.md"));
+    assert!(exists(workspace(), "tests/doc*.rs") && !exists(workspace(), "tests/doc*.md"));
     assert!(is_test("library::lss_select::*") && !is_test("library::lss_select::none"));
-    assert!(exists(root(), "src/") && !exists(root(), "src/none.rs"));
+    assert!(exists(workspace(), "src/") && !exists(workspace(), "src/none.rs"));
 }

@@ -1,13 +1,14 @@
 //! The libraries cannot panic: a program that calls all of them links without a panic handler.
 
-use std::{path::Path, process::Output};
+use std::process::Output;
 
-use testkit::cargo::cargo_for_the_chip;
+use testkit::cargo::{cargo_for_the_chip, scratch, workspace};
 
 /// Builds the program of `tests/no_panic` for the chip.
 fn build(arguments: &[&str]) -> Output {
-    let target_dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no_panic");
-    cargo_for_the_chip("build")
+    let target_dir = scratch("no_panic");
+    cargo_for_the_chip(workspace(), "build")
+        .expect("the compiler has the library for the chip")
         .args(["--release", "--locked", "--manifest-path", "tests/no_panic/Cargo.toml"])
         .arg("--target-dir")
         .arg(target_dir)

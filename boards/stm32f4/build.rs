@@ -22,7 +22,7 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let sizes = format!("FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\n", chip.flash_kb, chip.ram_kb);
     fs::write(out.join("chip.x"), sizes).expect("OUT_DIR is writable");
-    let folder = env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR");
+    // Cargo corrects this path in a copy of the folder that has its `target`, and no other.
+    fs::copy("image.x", out.join("image.x")).expect("OUT_DIR is writable");
     println!("cargo::rustc-link-search={}", out.display());
-    println!("cargo::rustc-link-search={folder}");
 }

@@ -1,6 +1,6 @@
 //! `cargo eds`: writes the electronic data sheet of the product.
 
-use std::{fs, io};
+use std::{env, fs, io, path::PathBuf};
 
 use @crate@::{application, device::{self, DEVICE}};
 use testkit::eds::{DataSheet, Product};
@@ -14,5 +14,6 @@ fn main() -> io::Result<()> {
     };
     let objects = application::Node::entries(&product.device);
     let sheet = DataSheet::new(product, objects, &application::Application::new());
-    fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/@name@.eds"), sheet.eds())
+    let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
+    fs::write(folder.join("@name@.eds"), sheet.eds())
 }

@@ -1,6 +1,6 @@
 //! Sessions with the release image of the product on an emulated board.
 
-use std::sync::LazyLock;
+use std::{env, sync::LazyLock};
 
 use @crate@::device::{self, DEVICE};
 use emulator::{
@@ -20,8 +20,9 @@ use testkit::{
 };
 
 static IMAGE: LazyLock<Image> = LazyLock::new(|| {
-    let (directory, name) = (env!("CARGO_MANIFEST_DIR"), env!("CARGO_PKG_NAME"));
-    image::build_product(directory, name, Part::@part@).unwrap_or_else(|error| panic!("{error}"))
+    let (directory, name) = (env::var("CARGO_MANIFEST_DIR"), env!("CARGO_PKG_NAME"));
+    image::build_product(&directory.expect("cargo runs this"), name, Part::@part@)
+        .unwrap_or_else(|error| panic!("{error}"))
 });
 
 /// A new board, which has stored nothing.

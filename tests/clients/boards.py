@@ -87,7 +87,7 @@ class Boards:
 
     def lss(self, *arguments):
         """Runs the tool `lss` of this repository on the bus; returns its exit code and what it printed."""
-        command = ["cargo", "run", "--quiet", "--package", "commission", "--"]
+        command = ["cargo", "run", "--quiet", "--package", "lss", "--"]
         adapter = "--adapter", f"slcan:tcp:{self.address}"
         command += [*adapter, *map(str, arguments)]
         tool = subprocess.run(command, cwd=WORKSPACE, capture_output=True, text=True, timeout=BUILD_TIMEOUT)

@@ -3,6 +3,8 @@
 import struct
 import time
 
+import canopen
+
 from boards import EDS, Boards
 
 AWAY_FROM_HOME_RATE, NO_ERROR = 0xFF10, 0x0000
@@ -20,6 +22,17 @@ def wait_for_emergency(node, code):
     raise AssertionError(f"no emergency {code:04X}, but {node.emcy.log}")
 
 
+def wait_for_answer(node):
+    """Reads the device type until the board answers, for at most 10 s."""
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        try:
+            return node.sdo["Device type"].raw
+        except canopen.SdoCommunicationError:
+            continue
+    raise AssertionError("no answer")
+
+
 def bit_rates_and_rescues(node):
     names = "Home bit rate", "Bit rate in use", "Rescues"
     return tuple(node.sdo["CAN controller"][name].raw for name in names)
@@ -30,11 +43,11 @@ def test_a_rescued_board_says_so_and_stores_the_rate_found_after_15(tmp_path):
     with Boards(*arguments) as boards, boards.connect(125_000) as network:
         node = network.add_node(SPARE_PART, EDS)
         began = time.monotonic()
-        network.sync.start(0.1)
+        # It answers, and reports itself with its first answer.
+        wait_for_answer(node)
         emergency = wait_for_emergency(node, AWAY_FROM_HOME_RATE)
-        network.sync.stop()
         print(f"rescued: {emergency} with {emergency.data.hex(' ')}", end=" ")
-        print(f"within {time.monotonic() - began:.2f} s of the first SYNC")
+        print(f"within {time.monotonic() - began:.2f} s of the first request")
         in_use_and_home = struct.unpack("<HHx", emergency.data)
         assert in_use_and_home == (125, 500)
         assert bit_rates_and_rescues(node) == (500, 125, 1)

@@ -232,9 +232,9 @@ fn a_board_that_has_to_answer_every_frame_of_a_full_bus_loses_none() {
 
 #[test]
 fn a_node_boots_up_within_5_ms_even_with_a_full_bank_of_settings() {
-    // A mark, the defaults and these.
+    // Three records of the defaults, these, and eight places that are kept for starts.
     let stores: Vec<_> =
-        (0..510_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
+        (0..398_u16).map(|n| settings(1 + (n % 2) as u8, BitRate::Kbit1000)).collect();
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(&flash_with(&stores))]);
     rig.collect(Time::from_ms(20));
     rig.network.allow_reset(0, ResetCause::Software);

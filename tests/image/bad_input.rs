@@ -59,11 +59,28 @@ fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
 }
 
 #[test]
-fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
+fn other_data_in_the_flash_is_erased_without_an_emergency() {
     let mut random = Random::from_environment();
-    for fill in [0x00, 0x55, 0xA5] {
-        let garbage: Vec<u8> = (0..0x8000).map(|_| random.byte() ^ fill).collect();
-        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&garbage)]);
+    let contents = [vec![0; 0x8000], (0..0x8000).map(|_| random.byte()).collect()];
+    for content in contents {
+        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&content)]);
+        let log = rig.network.board(0).log();
+        let what = "other data found, erased; using the defaults";
+        assert!(log.iter().any(|line| line.level == "info" && line.text == what), "{log:#?}");
+        assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);
+        assert_eq!(rig.lss("04 00"), ["704: 00"], "no emergency message");
+        assert_eq!(rig.sdo_client(4).number(0x1001, 0), 0);
+    }
+}
+
+#[test]
+fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
+    let log = flash_with(&[settings(0x40, BitRate::Kbit1000), settings(4, BitRate::Kbit1000)]);
+    // The node-ID in each record, a bit rate, a sequence.
+    for byte in [9, 10, 4] {
+        let mut damaged = log.clone();
+        damaged[..0x4000 / PLACE * PLACE].chunks_mut(PLACE).for_each(|place| place[byte] ^= 0x80);
+        let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&damaged)]);
         let log = rig.network.board(0).log();
         let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
@@ -90,10 +107,10 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
 fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     let old = settings(0x40, BitRate::Kbit1000);
     let mut flash = flash_with(&[old, settings(0x04, BitRate::Kbit1000)]);
-    let last =
-        flash[..0x4000].chunks(32).rposition(|record| record != [0xFF; 32]).expect("a record");
-    // Neither its CRC nor its commit word.
-    flash[32 * last + 24..][..8].fill(0xFF);
+    let places = || flash[..0x4000].chunks_exact(PLACE);
+    let last = places().rposition(|place| place != [0xFF; PLACE]).expect("a record");
+    // Neither its CRC nor what follows.
+    flash[PLACE * last + 28..][..12].fill(0xFF);
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(&flash)]);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
     let log = rig.network.board(0).log();

@@ -2,10 +2,7 @@
 //! of them, with the image of the example.
 
 use canopen_stm32f4::chip::{self, CHIPS};
-use testkit::{
-    image::example,
-    sessions::{self, Variant},
-};
+use testkit::{boards::Variant, image::example, sessions};
 
 use crate::rig::*;
 

@@ -10,8 +10,7 @@ use testkit::{
 
 use crate::rig::*;
 
-/// The length of a place in the log and of a bank in bytes.
-const PLACE: usize = 32;
+/// The length of a bank in bytes.
 const BANK: usize = SETTINGS_LENGTH / 2;
 /// More than a start with the erases of both banks takes.
 const START: Time = Time::from_ms(1_300);

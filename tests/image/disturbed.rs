@@ -2,7 +2,7 @@
 
 use emulator::network::Noise;
 
-use crate::rig::*;
+use crate::{reachable::pairs, rig::*};
 
 const RATE: BitRate = BitRate::Kbit125;
 
@@ -73,43 +73,73 @@ fn single_bit_pulses_and_pauses_keep_no_board_from_a_switch() {
     all(24, 2, switches);
 }
 
-/// The time from the departure of a foreign device until a master, which only listens or only acknowledges, has
-/// received a heartbeat of every board.
-fn time_until_all_are_heard(
-    count: u8,
+/// What keeps boards from their rate for a while after their power-on.
+#[derive(Clone, Copy, Debug)]
+enum Disturbance {
+    /// A device at another rate, which sends without a pause; a second one acknowledges.
+    Foreign(BitRate),
+    /// Pulses of a bit's length, 20 bits apart on average.
+    Noise,
+}
+
+/// A network that is disturbed.
+#[derive(Clone, Copy, Debug)]
+struct Site {
+    home: BitRate,
+    boards: u8,
     heartbeat_ms: u16,
-    (listens, begin_ms, span_ms): (bool, u64, u64),
-    foreign: BitRate,
-) -> Option<Time> {
-    let with = |number| board_with(number, settings(number, RATE).with_heartbeat_ms(heartbeat_ms));
-    let mut rig = ImageRig::new(RATE, (1..=count).map(with));
+    /// The master only listens; otherwise it acknowledges, too.
+    listens: bool,
+    begin_ms: u64,
+    span_ms: u64,
+}
+
+/// The time from the end of a disturbance until the master has received a heartbeat of every board.
+fn time_until_all_are_heard(site: Site, disturbance: Disturbance) -> Option<Time> {
+    let Site { home, boards, heartbeat_ms, listens, begin_ms, span_ms } = site;
+    let with = |number| board_with(number, settings(number, home).with_heartbeat_ms(heartbeat_ms));
+    let mut rig = ImageRig::new(home, (1..=boards).map(with));
     rig.network.record(Recording::Off);
-    (0..usize::from(count)).for_each(|board| rig.network.power_off(board));
+    (0..usize::from(boards)).for_each(|board| rig.network.power_off(board));
     if listens {
         rig.network.adapter_mut(rig.master).close();
         rig.network.adapter_mut(rig.master).listen_only();
     }
-    let devices = [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(foreign))));
+    let rate = match disturbance {
+        Disturbance::Foreign(rate) => rate,
+        Disturbance::Noise => home,
+    };
+    let devices = [(); 2].map(|()| rig.network.add_adapter(Adapter::new(bit_per_s(rate))));
     devices.iter().for_each(|&device| rig.network.adapter_mut(device).close());
     rig.network.run_for(Time::from_ms(10));
-    for board in 0..usize::from(count) {
+    for board in 0..usize::from(boards) {
         rig.network.power_on(board);
     }
     rig.network.run_for(Time::from_ms(begin_ms));
-    devices.iter().for_each(|&device| rig.network.adapter_mut(device).open());
     let end = rig.network.now() + Time::from_ms(span_ms);
-    let mut random = Random::from_seed(u64::from(count) + span_ms);
-    while rig.network.now() < end {
-        if rig.network.adapter_mut(devices[0]).unsent() == 0 {
-            let frame = Frame::data(Id::Standard(0x181), &random.bytes::<8>());
-            rig.network.send(devices[0], frame);
+    match disturbance {
+        Disturbance::Foreign(_) => {
+            devices.iter().for_each(|&device| rig.network.adapter_mut(device).open());
+            let mut random = Random::from_seed(u64::from(boards) + span_ms);
+            while rig.network.now() < end {
+                if rig.network.adapter_mut(devices[0]).unsent() == 0 {
+                    let frame = Frame::data(Id::Standard(0x181), &random.bytes::<8>());
+                    rig.network.send(devices[0], frame);
+                }
+                rig.network.run_for(Time::from_us(1_000));
+            }
+            devices.iter().for_each(|&device| rig.network.adapter_mut(device).close());
         }
-        rig.network.run_for(Time::from_us(1_000));
+        Disturbance::Noise => {
+            let (length, mean_interval) = (rig.bit_time(), rig.bit_time() * 20);
+            rig.network.set_noise(Some(Noise { seed: span_ms, mean_interval, length }));
+            rig.network.run_until(end);
+            rig.network.set_noise(None);
+        }
     }
-    devices.iter().for_each(|&device| rig.network.adapter_mut(device).close());
     while rig.network.receive(rig.master).is_some() {}
-    let mut missing: Vec<_> = (1..=count).collect();
-    let limit = end + Time::from_s(60);
+    let mut missing: Vec<_> = (1..=boards).collect();
+    let limit = end + Time::from_s(20);
     while let Some((time, frame)) =
         rig.network.run_until_received(rig.master, limit.saturating_sub(rig.network.now()))
     {
@@ -121,25 +151,55 @@ fn time_until_all_are_heard(
     None
 }
 
-#[test]
-fn boards_that_a_foreign_device_led_away_come_back_to_a_silent_master() {
+/// Fails unless all boards of each site are heard within `limit` after the disturbance.
+fn assert_all_are_heard(sites: impl Iterator<Item = (Site, Disturbance)>, limit: Time) {
     let mut late = Vec::new();
-    let rates = [BitRate::Kbit500, BitRate::Kbit250, BitRate::Kbit50, BitRate::Kbit1000];
-    for (number, foreign) in rates.into_iter().enumerate() {
-        for (count, listens) in [(2, true), (2, false), (4, true), (3, false)] {
-            let (begin_ms, span_ms) = [(0, 400), (1_100, 400), (0, 3_000)][number % 3];
-            let heartbeat_ms = [1000, 100][number % 2];
-            let device = (listens, begin_ms, span_ms);
-            let time = time_until_all_are_heard(count, heartbeat_ms, device, foreign);
-            let what = format!(
-                "{count} boards, heartbeat {heartbeat_ms} ms, {foreign:?} for {span_ms} ms after \
-                 {begin_ms} ms, master listens: {listens}: {time:?}"
-            );
-            println!("{what}");
-            if time.is_none_or(|time| time > Time::from_s(6)) {
-                late.push(what);
-            }
+    for (site, disturbance) in sites {
+        let time = time_until_all_are_heard(site, disturbance);
+        let what = format!("{time:?} after {disturbance:?}: {site:?}");
+        println!("{what}");
+        if time.is_none_or(|time| time > limit) {
+            late.push(what);
         }
     }
     assert!(late.is_empty(), "{late:#?}");
+}
+
+/// The beginning and the length of disturbances, in milliseconds.
+const SPANS_MS: [(u64, u64); 3] = [(0, 400), (1_100, 400), (0, 3_000)];
+
+#[test]
+fn boards_that_a_foreign_device_led_away_are_heard_within_3500_ms() {
+    let sites = pairs().enumerate().map(|(number, (home, foreign))| {
+        let (begin_ms, span_ms) = SPANS_MS[number % 3];
+        let (boards, listens) = [(2, true), (2, false), (4, true), (3, false)][number / 3 % 4];
+        let heartbeat_ms = [1000, 100][number % 2];
+        let site = Site { home, boards, heartbeat_ms, listens, begin_ms, span_ms };
+        (site, Disturbance::Foreign(foreign))
+    });
+    assert_all_are_heard(sites, Time::from_ms(3_500));
+}
+
+#[test]
+fn a_lone_board_at_its_right_rate_is_heard_within_5_s_of_a_foreign_device() {
+    let sites = pairs().enumerate().map(|(number, (home, foreign))| {
+        let (begin_ms, span_ms) = SPANS_MS[number % 3];
+        let heartbeat_ms = [1000, 100][number % 2];
+        let site = Site { home, boards: 1, heartbeat_ms, listens: false, begin_ms, span_ms };
+        (site, Disturbance::Foreign(foreign))
+    });
+    assert_all_are_heard(sites, Time::from_s(5));
+}
+
+#[test]
+fn boards_at_their_right_rate_are_heard_within_5_s_of_noise() {
+    let sites = BitRate::ALL.into_iter().flat_map(|home| {
+        [(1, false), (3, true), (3, false)].into_iter().zip(SPANS_MS).map(
+            move |((boards, listens), (begin_ms, span_ms))| {
+                let site = Site { home, boards, heartbeat_ms: 1000, listens, begin_ms, span_ms };
+                (site, Disturbance::Noise)
+            },
+        )
+    });
+    assert_all_are_heard(sites, Time::from_s(5));
 }

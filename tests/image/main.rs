@@ -14,6 +14,7 @@ mod do_no_harm;
 mod eds;
 mod errors;
 mod example_sweep;
+mod halted;
 mod indicators;
 mod io;
 mod medium_faults;

@@ -6,11 +6,13 @@ use crate::rig::*;
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// The place of the next record, behind the mark, the defaults and the settings of `about_to_store`.
-const NEXT_RECORD: u32 = SETTINGS_OFFSET + 3 * 32;
-/// The places of a record's node-ID and commit word.
-const NODE_ID: u32 = 5;
-const COMMIT_WORD: u32 = 28;
+/// The place of the next record, behind three of the defaults and the settings of `about_to_store`.
+const NEXT_RECORD: u32 = SETTINGS_OFFSET + 4 * PLACE as u32;
+/// The places of a record's node-ID and commit word, behind the word that begins them.
+const NODE_ID: u32 = 4 + 5;
+const COMMIT_WORD: u32 = 4 + 28;
+/// The places that a store tries to begin.
+const TRIES: u32 = 5;
 const HEARTBEAT: Time = Time::from_ms(30);
 /// The reasons for a failed store, as logged.
 const REPORTS_AN_ERROR: &str = "the flash reports an error";
@@ -59,7 +61,7 @@ fn assert_refuses(rig: &mut ImageRig, why: &str) {
 #[test]
 fn a_store_that_the_controller_refuses_is_an_error() {
     let mut rig = about_to_store();
-    flash(&rig, |flash| flash.refuse_programs(1));
+    flash(&rig, |flash| flash.refuse_programs(TRIES as _));
     assert_refuses(&mut rig, REPORTS_AN_ERROR);
     assert!(says(&rig, "flash: the operation failed with FLASH_SR 0x80"));
 }
@@ -79,25 +81,36 @@ fn a_write_protected_flash_refuses_until_the_protection_is_gone() {
 
 #[test]
 fn a_stuck_bit_costs_one_store_and_the_next_one_uses_other_cells() {
-    let cases = [
-        (0, 0b0000_0001, 0, IS_NOT_BLANK),
-        (NODE_ID, 0b0000_0010, 0, IS_NOT_BLANK),
-        (NODE_ID, 0b0000_0001, 1, READS_BACK_OTHERWISE),
-        (COMMIT_WORD, 0b0000_0001, 0, IS_NOT_BLANK),
-        (COMMIT_WORD, 0b1000_0000, 0x80, READS_BACK_OTHERWISE),
-    ];
-    for (byte, mask, value, why) in cases {
+    for (byte, mask) in [(NODE_ID, 0b0000_0001), (COMMIT_WORD, 0b1000_0000)] {
         let mut rig = about_to_store();
-        let stuck = StuckBits { offset: NEXT_RECORD + byte, mask, value };
+        let stuck = StuckBits { offset: NEXT_RECORD + byte, mask, value: mask };
         flash(&rig, |flash| flash.add_stuck_bits(stuck));
-        assert_refuses(&mut rig, why);
+        assert_refuses(&mut rig, READS_BACK_OTHERWISE);
         assert_stores(&mut rig);
     }
 }
 
 #[test]
+fn places_that_are_not_blank_are_passed_over_and_five_of_them_cost_a_store() {
+    for byte in [0, NODE_ID, COMMIT_WORD] {
+        for places in [1, TRIES] {
+            let mut rig = about_to_store();
+            for place in 0..places {
+                let offset = NEXT_RECORD + place * PLACE as u32 + byte;
+                let stuck = StuckBits { offset, mask: 0b0000_0001, value: 0 };
+                flash(&rig, |flash| flash.add_stuck_bits(stuck));
+            }
+            if places == TRIES {
+                assert_refuses(&mut rig, IS_NOT_BLANK);
+            }
+            assert_stores(&mut rig);
+        }
+    }
+}
+
+#[test]
 fn a_store_that_reads_back_differently_is_not_confirmed() {
-    for words in [1, 7] {
+    for words in [2, 9] {
         let mut rig = about_to_store();
         flash(&rig, |flash| flash.fail_programs(words));
         assert_refuses(&mut rig, READS_BACK_OTHERWISE);
@@ -140,19 +153,19 @@ fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "seed {seed}");
         assert_stores(&mut rig);
     }
-    assert!((1..8).contains(&not_ready), "the first record's place was blank or was not");
+    assert_eq!(not_ready, 8);
 }
 
 #[test]
 fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
     let mut content = flash_with(&[settings(0x40, BitRate::Kbit1000)]);
     // A store that was cut off after its first word.
-    content[96..100].copy_from_slice(&[3, 2, 0, 0]);
-    for stuck in [128, 128 + 28] {
+    content[4 * PLACE..][..8].copy_from_slice(&[0, 0, 0, 0, 0x9D, 1, 0, 0]);
+    for stuck in [5 * PLACE as u32 + 4, 5 * PLACE as u32 + 4 + 28] {
         let board = board_with_flash(&content);
         // The next two places.
-        for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + 32] {
-            let bits = StuckBits { offset, mask: 0b1001, value: 0b1001 };
+        for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + PLACE as u32] {
+            let bits = StuckBits { offset, mask: 0b10, value: 0b10 };
             board.chip().flash_mut().add_stuck_bits(bits);
         }
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);

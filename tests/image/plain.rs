@@ -9,6 +9,7 @@ mod commissioning;
 mod controllers;
 mod disturbed;
 mod errors;
+mod halted;
 mod indicators;
 mod medium_faults;
 mod node_id;

@@ -2,7 +2,7 @@
 //! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on.
 //! `cargo verify power-cut` cuts at other instants too.
 
-use testkit::{power_cut::image::Session, sessions::Variant};
+use testkit::{boards::Variant, power_cut::image::Session};
 
 use crate::rig::*;
 

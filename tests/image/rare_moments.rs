@@ -1,5 +1,5 @@
 //! The release image at moments that are rare: a deadline, a reset, a wrap of the time or a dominant bus in the middle
-//! of something else. `cargo verify coverage` shows the branches that only they take.
+//! of something else.
 
 use crate::rig::*;
 

@@ -66,7 +66,7 @@ fn a_deadline_of_a_search_may_pass_just_before_a_frame_is_handled() {
 }
 
 #[test]
-fn a_board_searches_and_visits_home_whatever_the_count() {
+fn a_board_searches_and_comes_home_whatever_the_count() {
     for count in [0, 0x4000_0000, 0x8000_0000, 0xC000_0000, (-3_000_000_i32).cast_unsigned()] {
         let mut rig = booted_at(count, OTHER_RATE);
         assert_is_found(&mut rig);

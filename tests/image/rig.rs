@@ -15,6 +15,7 @@ pub use testkit::{
     image_rig::*,
     random::Random,
     sdo::{self, Client},
+    wire::*,
 };
 
 use crate::FIRMWARE;

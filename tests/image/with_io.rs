@@ -4,6 +4,7 @@ mod can_traps;
 mod chip_traps;
 mod commissioning;
 mod errors;
+mod halted;
 mod medium_faults;
 mod node_id;
 mod overload;

@@ -8,7 +8,7 @@ use testkit::{
     sdo::Client,
 };
 
-use crate::process_data::{Board, Machine, board, take_events};
+use crate::process_data::{Board, Machine, board, receive, set, take_events};
 
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
@@ -81,19 +81,65 @@ fn error_code_0_follows_the_last_error_of_node_and_application() {
 }
 
 #[test]
-fn eight_errors_at_once_are_sent_in_their_order_and_a_ninth_is_kept() {
+fn eight_errors_at_once_are_sent_in_their_order_and_a_ninth_finds_no_room() {
     let mut board = board();
-    for code in 0x5001..=0x5009 {
-        board.node.report(code, 0, [0; 5]);
+    for code in 0x5001..=0x5008 {
+        assert!(board.node.report(code, 0, [0; 5]));
     }
+    assert!(!board.node.report(0x5009, 0x80, [0; 5]));
     let frames = board.pass_us(0);
     let codes: Vec<_> = frames.0.iter().map(|frame| frame.data()[0]).collect();
     assert_eq!(codes, [1, 2, 3, 4, 5, 6, 7, 8]);
-    assert_eq!(board.number(0x1003, 1), 0x5009);
+    assert!(!board.node.report(0x5009, 0x80, [0; 5]));
+    assert!(board.node.report(0x5008, 0, [0; 5]), "it has its place");
+    assert_eq!(board.pass_us(0).0.len(), 1);
+    assert_eq!((board.number(0x1003, 1), board.number(0x1001, 0)), (0x5008, 1));
     for code in 0x5001..=0x5007 {
         assert_eq!(end(&mut board, code), SILENCE);
     }
     assert_eq!(end(&mut board, 0x5008), [NO_ERROR]);
+}
+
+#[test]
+fn eight_errors_of_the_application_leave_room_for_each_of_the_node() {
+    let mut board = board();
+    set(&mut board, 0x1016, 1, 0x0005_0064, 4);
+    set(&mut board, 0x1029, 1, 1, 1);
+    set(&mut board, 0x1400, 5, 100, 2);
+    board.nmt("01 40");
+    for code in 0x5001..=0x5008 {
+        assert!(board.node.report(code, 0, [0; 5]));
+    }
+    assert_eq!(board.pass_us(0).0.len(), 8);
+    assert_eq!(receive(&mut board, "705: 05"), SILENCE);
+    assert_eq!(board.pass_ms(100), ["0C0: 30 81 11 05 00 00 00 00"], "heartbeat lost");
+    assert_eq!(board.number(0x1001, 0), 0x11);
+    assert_eq!(receive(&mut board, "240: 01"), ["0C0: 10 82 11 01 00 00 00 00"], "too short");
+    assert_eq!(receive(&mut board, "340: 01"), ["0C0: 10 82 11 02 00 00 00 00"]);
+    assert_eq!(receive(&mut board, "240: 1 2 3 4"), ["0C0: 20 82 11 01 00 00 00 00"], "too long");
+    assert_eq!(receive(&mut board, "080: 01"), ["0C0: 40 82 11 01 00 00 00 00"], "SYNC");
+    assert_eq!(board.pass_ms(100), ["0C0: 50 82 11 01 00 00 00 00"], "late");
+    assert_eq!(board.see(BusEvent::Overrun), ["0C0: 10 81 11 00 00 00 00 00"]);
+    for frame in ["705: 05", "240: 0 0 0", "340: 0 0 0 0 0 0", "080:"] {
+        receive(&mut board, frame);
+    }
+    assert_eq!(board.number(0x1001, 0), 0x01, "those of the node are over");
+    for code in 0x5001..=0x5007 {
+        assert_eq!(end(&mut board, code), SILENCE);
+    }
+    assert_eq!(end(&mut board, 0x5008), [NO_ERROR]);
+}
+
+#[test]
+fn an_error_of_the_application_with_a_code_of_the_node_is_another_one() {
+    let mut board = board();
+    set(&mut board, 0x1016, 1, 0x0005_0064, 4);
+    assert_eq!(report(&mut board, 0x8130, 0, [9; 5]), ["0C0: 30 81 01 09 09 09 09 09"]);
+    receive(&mut board, "705: 05");
+    assert_eq!(board.pass_ms(100), ["0C0: 30 81 11 05 00 00 00 00"]);
+    assert_eq!(receive(&mut board, "705: 05"), SILENCE);
+    assert_eq!(board.number(0x1001, 0), 0x01, "that of the application stays");
+    assert_eq!(end(&mut board, 0x8130), [NO_ERROR]);
 }
 
 #[test]
@@ -130,18 +176,12 @@ fn a_message_that_was_dropped_is_sent_again_an_acknowledged_one_not() {
     let device = device(ADDRESS).with_defaults(defaults(0x40)).with_rescue(true);
     let mut board: Board =
         NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new());
-    board.is_acknowledged = false;
-    board.power_cycle();
-    board.see(BusEvent::Error);
-    board.is_acknowledged = true;
-    // A guest at another bit rate, which drops its frames when it leaves.
-    board.see(BusEvent::Received);
     report(&mut board, 0x4310, 0, [0; 5]);
+    // At a new rate, where a frame that nobody acknowledges is dropped for a while.
+    board.configure("13 00 02, 15 00 00");
     board.is_acknowledged = false;
-    assert_eq!(report(&mut board, 0x4311, 0, [0; 5]), ["0C0: 11 43 11 00 00 00 00 00"]);
-    board.see(BusEvent::Error);
-    board.see(BusEvent::Error);
+    assert_eq!(report(&mut board, 0x4311, 0, [0; 5]), ["0C0: 11 43 01 00 00 00 00 00"]);
+    board.pass_ms(100);
     board.is_acknowledged = true;
-    let frames = board.see(BusEvent::Received);
-    assert_eq!(frames.0[0].data()[..2], [0x11, 0x43]);
+    assert_eq!(board.pass_ms(1_000), ["0C0: 11 43 01 00 00 00 00 00"]);
 }

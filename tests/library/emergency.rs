@@ -8,6 +8,8 @@ use testkit::{
     sdo::Client,
 };
 
+use crate::process_data::set;
+
 const BUS_OFF_RECOVERED: &str = "0C0: 40 81 11 00 00 00 00 00";
 const OVERRUN: &str = "0C0: 10 81 11 00 00 00 00 00";
 const SETTINGS_LOST: &str = "0C0: 10 63 01 00 00 00 00 00";
@@ -137,6 +139,57 @@ fn an_emergency_waits_for_the_end_of_a_switch_delay() {
 }
 
 #[test]
+fn a_message_that_a_switch_has_dropped_is_sent_again_at_any_rate() {
+    for rate in ["13 00 00", "13 00 02"] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.configure(rate);
+        board.is_acknowledged = false;
+        assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
+        board.report(BusEvent::Overrun);
+        assert_eq!(board.lss("15 0A 00"), SILENCE);
+        board.is_acknowledged = true;
+        assert_eq!(board.pass_ms(20), [SETTINGS_LOST, "0C0: 10 81 11 00 00 00 00 00"], "{rate}");
+        assert_eq!(board.number(0x1003, 0), 2);
+    }
+}
+
+#[test]
+fn a_message_that_left_within_a_switch_is_not_sent_again() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.configure("13 00 00");
+    board.is_acknowledged = false;
+    assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
+    board.lss("15 0A 00");
+    assert_eq!(board.see(BusEvent::Acknowledged), SILENCE, "it was on the bus");
+    board.is_acknowledged = true;
+    assert_eq!(board.pass_ms(20), SILENCE);
+}
+
+#[test]
+fn a_boot_up_that_a_switch_has_dropped_is_sent_again_at_any_rate() {
+    for rate in ["13 00 00", "13 00 02"] {
+        let mut board = NodeRig::with_node_id(0x40);
+        board.is_acknowledged = false;
+        assert_eq!(board.nmt("82 40"), ["740: 00"]);
+        board.configure(rate);
+        board.lss("15 0A 00");
+        board.is_acknowledged = true;
+        assert_eq!(board.pass_ms(20), ["740: 00"], "{rate}");
+    }
+}
+
+#[test]
+fn a_message_that_reset_communication_has_dropped_follows_the_boot_up() {
+    let mut board = NodeRig::with_node_id(0x40);
+    board.is_acknowledged = false;
+    assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
+    assert_eq!(board.nmt("82 40"), ["740: 00"]);
+    board.is_acknowledged = true;
+    assert_eq!(board.see(BusEvent::Acknowledged), [SETTINGS_LOST]);
+    assert_eq!(board.number(0x1003, 0), 1);
+}
+
+#[test]
 fn an_emergency_is_sent_before_a_heartbeat_due_at_the_same_time() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.report(BusEvent::Overrun);
@@ -222,15 +275,37 @@ fn another_bit_rate_than_the_home_rate_is_ff10_with_both_in_kbit_per_s() {
 }
 
 #[test]
-fn the_error_history_knows_faults_when_they_arise_and_each_message_once() {
+fn the_end_of_a_rescue_while_another_error_lasts_leaves_no_bytes_behind() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.nmt("02 00");
+    report(&mut board, Fault::SettingsLost);
+    report(
+        &mut board,
+        Fault::AwayFromHomeRate { in_use: BitRate::Kbit500, home: BitRate::Kbit125 },
+    );
+    assert_eq!(board.configure("15 00 00"), SILENCE);
+    assert_eq!(board.number(0x1001, 0), 1, "the settings are still lost");
+    assert_eq!(board.lss("17"), ["17 00", NO_ERROR]);
+}
+
+#[test]
+fn the_error_history_has_the_messages_that_have_left_in_their_order() {
+    let mut board = NodeRig::with_node_id(0x40);
+    set(&mut board, 0x1015, 0, 100, 2);
     board.report(BusEvent::Overrun);
-    board.report(BusEvent::ErrorCounters { transmit: 128, receive: 0 });
+    count(&mut board, 128, 0);
     board.report(BusEvent::Overrun);
-    board.nmt("80 00");
-    let errors = [1, 2].map(|sub_index| board.number(0x1003, sub_index));
-    assert_eq!((board.number(0x1003, 0), errors), (2, [0x8120, 0x8110]));
+    let history = |board: &mut NodeRig| {
+        (1..=board.number(0x1003, 0) as u8).map(|at| board.number(0x1003, at)).collect::<Vec<_>>()
+    };
+    assert_eq!(history(&mut board), [0x8120]);
+    board.pass_ms(10);
+    assert_eq!(history(&mut board), [0x8110, 0x8120]);
+    board.is_acknowledged = false;
+    board.pass_ms(10);
+    assert_eq!(board.see(BusEvent::Overrun).0.len(), 1);
+    assert_eq!(history(&mut board), [0x8110, 0x8120], "it waits for the bus");
+    board.see(BusEvent::Acknowledged);
+    assert_eq!(history(&mut board), [0x8110, 0x8110, 0x8120]);
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! The heartbeat consumer 1016h (CiA 301, 7.2.8.3.2): when a producer is lost, and what follows.
 
-use canopen_node::{NodeId, application::Event, nmt::State};
-use testkit::{frames::SILENCE, sdo::Client};
+use canopen_node::{Frame, NodeId, application::Event, nmt::State};
+use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::{
-    Board, INCOMPATIBLE, INVALID_VALUE, board, operational, receive, set, take_events, write,
+    Board, INCOMPATIBLE, INVALID_VALUE, Machine, board, operational, receive, set, take_events,
+    write,
 };
 
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
@@ -56,6 +57,20 @@ fn the_error_lasts_until_no_producer_is_lost() {
     assert_eq!(receive(&mut board, "706: 05"), [NO_ERROR]);
     assert_eq!(board.number(0x1001, 0), 0);
     assert_eq!(board.pass_ms(100).0.len(), 1, "lost again");
+}
+
+#[test]
+fn messages_and_history_agree_on_the_producers_that_were_lost() {
+    let mut board: NodeRig<Machine, 3, 2, 3> = NodeRig::running(Machine::new());
+    set(&mut board, 0x1015, 0, 1000, 2);
+    for (node, time_ms) in [(1, 100), (2, 110), (3, 120)] {
+        set(&mut board, 0x1016, node, u32::from(node) << 16 | time_ms, 4);
+        board.receive(&Frame::new(0x700 + u16::from(node), &[5]).expect("a frame"));
+    }
+    let messages = ["0C0: 30 81 11 01 00 00 00 00", "0C0: 30 81 11 03 00 00 00 00"];
+    assert_eq!(board.pass_ms(1_000), messages);
+    let history = [0, 1, 2].map(|sub_index| board.number(0x1003, sub_index));
+    assert_eq!(history, [2, 0x0003_8130, 0x0001_8130]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Fastscan (CiA 305): each rule of a step. `lss-master/tests/network.rs` has whole scans.
+//! Fastscan (CiA 305): each rule of a step. `libs/lss-master/tests/network.rs` has whole scans.
 
 use testkit::{
     frames::{SILENCE, number},

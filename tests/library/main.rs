@@ -47,7 +47,6 @@ mod settings_faults;
 mod settings_log;
 mod settings_power_cut;
 mod settings_room;
-mod settings_units;
 mod supervision;
 mod supervision_guest;
 mod supervision_random;

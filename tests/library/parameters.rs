@@ -211,7 +211,7 @@ fn a_store_by_lss_keeps_the_parameters_and_writes_one_record() {
     let writes = board.flash.writes();
     board.configure("11 41");
     assert_eq!(board.lss("17"), ["17 00"]);
-    assert_eq!(board.flash.writes(), writes + 8, "one record of eight words");
+    assert_eq!(board.flash.writes(), writes + 10, "one record in a place of ten words");
     assert_eq!(board.stored_parameters(), parameters);
     board.power_cycle();
     assert_eq!(
@@ -236,7 +236,7 @@ fn unchanged_parameters_are_not_written() {
     assert_eq!(board.flash.writes(), writes, "after a power cycle");
     board.download(0x1017, 0, &[1, 0]).unwrap();
     assert_eq!(board.save(1), Ok(()));
-    assert_eq!(board.flash.writes(), writes + 8, "the heartbeat time is in the record");
+    assert_eq!(board.flash.writes(), writes + 10, "the heartbeat time is in the record");
 }
 
 #[test]
@@ -306,12 +306,16 @@ fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
         speed += 1;
     };
     assert_eq!(full, Err(0x0800_0022));
-    // All parameters take three places, a changed one takes one, and a record follows. Each of two banks of 512 places
-    // begins with a mark, and one has a record of the defaults.
-    assert_eq!(speed - 10, 1 + (510 - 4) / 2 + 1 + (511 - 4) / 2);
+    // All parameters take three places, a changed one takes one, and a record follows. Each of two banks has 401 places
+    // for stores, and one has three records of the defaults.
+    assert_eq!(speed - 10, 1 + (398 - 4) / 2 + 1 + (401 - 4) / 2);
     let erases = board.flash.erases();
     board.power_cycle();
-    assert_eq!((board.flash.erases(), board.found), (erases + 1, Found::Complete));
+    assert_eq!(
+        (board.flash.erases(), board.found),
+        (erases + 2, Found::Complete),
+        "both were full"
+    );
     assert_eq!(board.number(0x2100, 0), u32::from(speed) - 1);
     board.download(0x2100, 0, &speed.to_le_bytes()).unwrap();
     assert_eq!(board.save(3), Ok(()));
@@ -425,19 +429,20 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!((unpacked.len(), unpacked[0].index, unpacked[0].value), (1, 0x6001, &[1][..]));
     let content = board.flash.content();
     let crc = 0xFD96_E654_u32; // Checked with Python's zlib.
-    assert_eq!(content[64..68], [2, 2, 0, 0], "the sequence");
-    assert_eq!(content[68..75], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
-    assert_eq!(content[75..92], [0xFF; 17]);
-    assert_eq!(&content[92..96], b"\0\0SP", "the first part");
-    assert_eq!(content[96..100], [3, 2, 0, 0]);
-    assert_eq!(content[106..110], [2, 0, 7, 0], "the first place and the length");
-    assert_eq!(content[110..114], crc.to_le_bytes());
-    assert_eq!(content[114..120], [0xFF; 6]);
+    // The places 3 and 4, of 40 bytes, which begin with a word.
+    assert_eq!(content[124..128], 412_u32.to_le_bytes(), "the sequence");
+    assert_eq!(content[128..135], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
+    assert_eq!(content[135..152], [0xFF; 17]);
+    assert_eq!(&content[152..156], b"\0\0SP", "the first part");
+    assert_eq!(content[164..168], 413_u32.to_le_bytes());
+    assert_eq!(content[174..178], [3, 0, 7, 0], "the first place and the length");
+    assert_eq!(content[178..182], crc.to_le_bytes());
+    assert_eq!(content[182..188], [0xFF, 0xFF, 0xFF, 0xFF, 2, 0xFF]);
     board.node.application_mut().enabled = false;
     board.save(3).unwrap();
     let content = board.flash.content();
-    assert_eq!(content[170..174], [4, 0, 7, 0]);
-    assert_eq!(content[178..182], [1, 0, 3, 0], "one part, the others with the record in place 3");
+    assert_eq!(content[254..258], [5, 0, 7, 0]);
+    assert_eq!(content[262..266], [1, 0, 4, 0], "one part, the others with the record in place 4");
 }
 
 objects! {

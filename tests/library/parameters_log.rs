@@ -1,16 +1,19 @@
 //! Parameters in the settings log, without power cuts: places written, failing flash, damaged content, older firmware.
 
-use canopen_node::settings::{Error, Found, Log, parameters};
+use canopen_node::settings::{Error, Found, Log};
 use testkit::{
     flash::Flash,
     random::Random,
-    settings::{Content, open, open_with_parameters, parameters as packed, settings},
+    settings::{Content, open, open_with_parameters, parameters as packed, place, settings},
 };
 
-/// The longest parameters, which take three places of 32 bytes.
+/// The longest parameters, which take three places.
 const LEN: usize = 66;
-/// A flash with room for 16 places a bank.
-type Chip = Flash<4, 512>;
+/// A flash with 25 places a bank, of which eight are kept for starts.
+type Chip = Flash<4, 1024>;
+/// The length of a place, and where its 32 bytes are.
+const PLACE: usize = 40;
+const CONTENT: usize = 4;
 type ParametersLog = Log<Chip, LEN>;
 
 fn content(n: u16) -> Content {
@@ -25,7 +28,7 @@ fn store(log: &mut ParametersLog, (settings, parameters): &Content) -> Result<()
     log.store_with_parameters(settings.unwrap(), parameters)
 }
 
-/// A log that holds `content(1)`, in the places 2 to 5.
+/// A log that holds `content(1)`, in the places 3 to 6.
 fn with_content_1() -> (ParametersLog, Chip) {
     let flash = Flash::blank(7);
     let (mut log, ..) = start(&flash);
@@ -39,11 +42,12 @@ fn every_place_has_the_next_sequence_whatever_it_holds() {
     log.store(settings(2)).unwrap();
     store(&mut log, &content(3)).unwrap();
     let bytes = flash.content();
-    for (place, sequence) in (0..11).zip(16..) {
-        assert_eq!(bytes[place * 32..][..4], u32::to_le_bytes(sequence), "place {place}");
+    for (place, sequence) in (0..12).zip(25..) {
+        let at = place * PLACE + CONTENT;
+        assert_eq!(bytes[at..][..4], u32::to_le_bytes(sequence), "place {place}");
     }
-    let ends: Vec<_> = (0..11).map(|place| bytes[place * 32 + 31]).collect();
-    assert_eq!(ends, *b"E1PPP11PPP1");
+    let ends: Vec<_> = (0..12).map(|place| bytes[place * PLACE + CONTENT + 31]).collect();
+    assert_eq!(ends, *b"111PPP11PPP1");
 }
 
 #[test]
@@ -63,25 +67,11 @@ fn parameters_of_any_length_are_found_again_also_in_the_other_bank() {
 }
 
 #[test]
-fn parameters_up_to_the_capacity_of_a_bank_can_be_stored_after_every_start() {
-    const CAPACITY: usize = parameters::capacity(512, 4);
-    let flash = Chip::blank(0);
-    let mut last = (None, Vec::new());
-    for n in 1..20 {
-        let (mut log, found, _) = open_with_parameters::<CAPACITY, 4, 512>(&flash);
-        assert_eq!(found, last);
-        last = (Some(settings(n)), packed(n, CAPACITY - 6));
-        assert_eq!(log.store_with_parameters(settings(n), &last.1), Ok(()), "store {n}");
-    }
-    assert_eq!(packed(1, CAPACITY - 6).len(), CAPACITY);
-}
-
-#[test]
 fn parameters_that_are_removed_are_gone() {
     let (mut log, flash) = with_content_1();
     let writes = flash.writes();
     assert_eq!(log.store_with_parameters(settings(1), &[]), Ok(()));
-    assert_eq!((log.parameters(), flash.writes()), (&[][..], writes + 8));
+    assert_eq!((log.parameters(), flash.writes()), (&[][..], writes + 10));
     assert_eq!(start(&flash).1, (Some(settings(1)), Vec::new()));
 }
 
@@ -97,20 +87,21 @@ fn more_parameters_than_declared_are_refused() {
 #[test]
 fn parameters_that_do_not_fit_in_the_banks_are_refused_unwritten() {
     let (mut log, flash) = with_content_1();
-    for n in 2..7 {
+    for n in 2..8 {
         assert_eq!(store(&mut log, &content(n)), Ok(()));
     }
     let writes = flash.writes();
-    assert_eq!(store(&mut log, &content(7)), Err(Error::Full), "three places are left");
+    assert_eq!(store(&mut log, &content(8)), Err(Error::Full), "a place is left");
     assert_eq!(flash.writes(), writes);
-    assert_eq!(log.store(settings(8)), Ok(()), "there is room for a record");
-    assert_eq!(start(&flash).1, (Some(settings(8)), content(6).1));
+    assert_eq!(log.store(settings(9)), Ok(()), "there is room for a record");
+    assert_eq!(start(&flash).1, (Some(settings(9)), content(7).1));
 }
 
 #[test]
 fn damaged_parameters_cost_themselves_but_not_the_settings() {
-    for at in 2 * 32..5 * 32 {
-        let is_value = (4..28).contains(&(at % 32)) && at < 4 * 32 + 4 + 18;
+    for at in 3 * PLACE..6 * PLACE {
+        let value = CONTENT + 4;
+        let is_value = (value..value + 24).contains(&(at % PLACE)) && at < 5 * PLACE + value + 18;
         let (_, flash) = with_content_1();
         flash.corrupt(at, flash.content()[at] ^ 0x10);
         let (mut log, found, result) = start(&flash);
@@ -128,13 +119,15 @@ fn damaged_parameters_cost_themselves_but_not_the_settings() {
 
 #[test]
 fn a_reference_to_an_impossible_place_is_damage_and_is_not_followed() {
-    for (first, len) in [(5, 60), (0xFFFF, 60), (1, 0xFFFE), (0, 0xFF00), (3, 66)] {
+    for (first, len) in [(6, 60), (0xFFFF, 60), (1, 0xFFFE), (0, 0xFF00), (4, 66)] {
         let (_, flash) = with_content_1();
         let mut bytes = flash.content();
-        let mut record: [u8; 32] = bytes[160..192].try_into().unwrap();
+        let at = 6 * PLACE;
+        let mut record: [u8; 32] = bytes[at + CONTENT..][..32].try_into().unwrap();
         record[10..12].copy_from_slice(&u16::to_le_bytes(first));
         record[12..14].copy_from_slice(&u16::to_le_bytes(len));
-        bytes[160..192].copy_from_slice(&testkit::settings::sealed(record));
+        let place = place::<4>(&testkit::settings::sealed(record));
+        bytes[at..at + PLACE].copy_from_slice(&place);
         let flash = Chip::with_content(bytes, 0);
         let (_, found, result) = start(&flash);
         assert_eq!(found, (Some(settings(1)), Vec::new()));
@@ -146,7 +139,7 @@ fn a_reference_to_an_impossible_place_is_damage_and_is_not_followed() {
 fn firmware_without_parameters_finds_the_settings_of_any_store() {
     let (mut log, flash) = with_content_1();
     assert_eq!(open(&flash.duplicate(0)), (Some(settings(1)), Found::Complete));
-    for steps in 1..32 {
+    for steps in 1..36 {
         let flash = flash.duplicate(steps);
         let (mut log, ..) = start(&flash);
         flash.cut_power_after(steps as usize);
@@ -154,8 +147,8 @@ fn firmware_without_parameters_finds_the_settings_of_any_store() {
         flash.power_on();
         let (found, _) = open(&flash);
         let is_new = found == Some(settings(2));
-        assert!(is_new || steps < 31 && found == Some(settings(1)));
-        assert!(!is_new || steps >= 30, "there is no CRC");
+        assert!(is_new || found == Some(settings(1)));
+        assert!(!is_new || steps == 35, "there is no commit word");
         assert_eq!(open(&flash), (found, Found::Complete), "step {steps}");
         let (mut old, _) = Log::open(flash.clone());
         old.store(settings(5)).unwrap();
@@ -179,7 +172,8 @@ fn with_any_flash_content_a_start_ends_and_what_is_stored_then_is_found() {
             bytes[at] = random.byte();
             if random.one_in(2) {
                 // A record that is valid in spite of it.
-                let record = &mut bytes[at / 32 * 32..][..32];
+                let at = (at / PLACE).min(24) * PLACE + CONTENT;
+                let record = &mut bytes[at..at + 32];
                 let sealed = testkit::settings::sealed((&*record).try_into().unwrap());
                 record.copy_from_slice(&sealed);
             }

@@ -1,7 +1,7 @@
 //! The limit of the periodic services, the heartbeat and the event timers of TPDOs: one frame waits at a time, and half
 //! of the bus is left to others.
 
-use canopen_node::{Action, BitRate, BusEvent, Frame};
+use canopen_node::{BitRate, BusEvent, Frame};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
@@ -77,21 +77,6 @@ fn changes_and_syncs_are_sent_while_a_periodic_frame_waits() {
     assert_eq!(change(&mut board, |machine| machine.level = 7), ["1C0: 00 07 00"]);
     let sync = Frame::new(0x080, &[]).expect("a frame");
     assert_eq!(board.receive(&sync), ["2C0: 00 00 00 00 00 00 00 00"]);
-}
-
-#[test]
-fn the_heartbeat_goes_on_after_pdos_were_dropped() {
-    let mut board = hurried();
-    set(&mut board, 0x1017, 0, 0, 2);
-    board.pass_ms(100);
-    board.is_acknowledged = false;
-    assert_eq!(board.pass_ms(100).0[0].cob_id() & 0x7F, 0x40, "a TPDO waits");
-    board.nmt("80 40");
-    assert!(board.take_actions().contains(&Action::DropPdos));
-    assert!(!board.node.wants_to_send_more());
-    board.is_acknowledged = true;
-    set(&mut board, 0x1017, 0, 5, 2);
-    assert_eq!(board.pass_ms(5), ["740: 7F"]);
 }
 
 #[test]

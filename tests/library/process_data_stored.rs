@@ -109,6 +109,28 @@ fn stored_pdos_and_producers_work_after_a_power_cycle() {
 }
 
 #[test]
+fn entries_behind_sub_index_0_of_a_mapping_are_not_stored() {
+    let mut board = board();
+    map(&mut board, 0x1802, 0x3C0, &[0x6000_0108, 0x6000_0210]);
+    map(&mut board, 0x1400, 0x333, &[0x6200_0108, 0x6200_0210]);
+    for (parameter, number) in [(0x1802, 0), (0x1400, 1)] {
+        let cob_id = board.number(parameter, 1);
+        set(&mut board, parameter, 1, cob_id & 0x7FF | 1 << 31, 4);
+        set(&mut board, parameter + 0x200, 0, number, 1);
+    }
+    let entries = |board: &mut Board| {
+        [(0x1A02, 1), (0x1A02, 2), (0x1600, 1), (0x1600, 2)].map(|(at, sub)| board.number(at, sub))
+    };
+    let all = [0x6000_0108, 0x6000_0210, 0x6200_0108, 0x6200_0210];
+    assert_eq!(board.save(1), Ok(()));
+    assert_eq!(entries(&mut board), all, "a master may go on with them");
+    for restart in ["82 40", "81 40"] {
+        board.nmt(restart);
+        assert_eq!(entries(&mut board), [0, 0, 0x6200_0108, 0], "{restart}");
+    }
+}
+
+#[test]
 fn only_cob_ids_at_their_default_follow_a_new_node_id() {
     let mut board = board_with_stored_parameters();
     board.configure("11 05, 17");

@@ -1,9 +1,13 @@
 //! TPDOs (CiA 301, 7.2.2): the frames, and the times at which they are sent.
 
 use canopen_node::{Action, BusEvent, Frame, Instant};
-use testkit::frames::SILENCE;
+use testkit::{
+    flash::BoardFlash,
+    frames::SILENCE,
+    node_rig::{ADDRESS, NodeRig, defaults, device},
+};
 
-use crate::process_data::{Board, board, change, map, operational, receive, set};
+use crate::process_data::{Board, Machine, board, change, map, operational, receive, set};
 
 #[test]
 fn a_value_that_a_client_writes_is_sent_after_the_answer() {
@@ -22,6 +26,31 @@ fn pdos_are_sent_in_operational_only() {
         assert_eq!(change(&mut board, |machine| machine.level += 1), SILENCE);
         assert_eq!(receive(&mut board, "080:"), SILENCE);
         board.nmt("01 40");
+    }
+}
+
+#[test]
+fn a_guest_at_another_bit_rate_sends_no_pdos_until_it_is_home() {
+    let device = device(ADDRESS).with_defaults(defaults(0x40)).with_rescue(true);
+    let mut board: Board =
+        NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new());
+    board.is_acknowledged = false;
+    board.power_cycle();
+    board.see(BusEvent::Error);
+    board.is_acknowledged = true;
+    board.see(BusEvent::Received);
+    assert_eq!(board.sdo("40 00 10 00").0.len(), 3, "boot-up, answer and emergency");
+    set(&mut board, 0x1017, 0, 10, 2);
+    set(&mut board, 0x1800, 5, 10, 2);
+    board.nmt("01 40");
+    for _ in 0..10 {
+        assert_eq!(change(&mut board, |machine| machine.level += 1), SILENCE);
+        assert_eq!(receive(&mut board, "080:"), SILENCE);
+        assert_eq!(board.pass_ms(1_000), SILENCE);
+    }
+    let sent = board.pass_ms(5_000).texts();
+    for text in ["740: 05", "1C0: 00 0A 00"] {
+        assert!(sent.iter().any(|frame| frame == text), "{text}");
     }
 }
 

@@ -11,7 +11,8 @@ use std::{
 };
 
 use canopen_node::{
-    BitRate, Device, Frame, Instant, Node, NodeId, Receives,
+    Application, BitRate, Device, Frame, Instant, Node, NodeId, Receives,
+    application::NoApplication,
     indicator::BusState,
     runner::{
         self, AsyncController, AsyncSystem, BusError, Controller, Mode, Received, Runner, Sample,
@@ -24,6 +25,8 @@ use testkit::{
     frames::{self, Frames, SILENCE},
     node_rig::{ADDRESS, defaults, device},
 };
+
+use crate::process_data::Machine;
 
 /// The bus while nothing happens.
 const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
@@ -169,13 +172,27 @@ impl AsyncSystem for Handle {
 }
 
 /// A board with its runner.
-struct Board {
+struct Board<A: Application = NoApplication, const TPDOS: usize = 0, const RPDOS: usize = 0> {
     chip: Rc<RefCell<Chip>>,
-    runner: Runner<Handle, Handle>,
+    runner: Runner<Handle, Handle, A, TPDOS, RPDOS>,
 }
 
 impl Board {
     fn new(device: Device) -> Self {
+        Self::with_application(device, NoApplication)
+    }
+
+    /// A board with node-ID 5 that has sent its boot-up.
+    fn with_node_id() -> Self {
+        let mut board = Self::new(device(ADDRESS).with_defaults(defaults(5)));
+        board.pass_ms(1);
+        assert_eq!(board.take_sent(), ["705: 00"]);
+        board
+    }
+}
+
+impl<A: Application, const TPDOS: usize, const RPDOS: usize> Board<A, TPDOS, RPDOS> {
+    fn with_application(device: Device, application: A) -> Self {
         let chip = Rc::new(RefCell::new(Chip {
             now_us: 0,
             alarm_at_us: 0,
@@ -192,15 +209,8 @@ impl Board {
             resets: 0,
         }));
         let handle = Handle(chip.clone());
-        Self { chip, runner: Runner::new(Node::new(device, None), handle.clone(), handle) }
-    }
-
-    /// A board with node-ID 5 that has sent its boot-up.
-    fn with_node_id() -> Self {
-        let mut board = Self::new(device(ADDRESS).with_defaults(defaults(5)));
-        board.pass_ms(1);
-        assert_eq!(board.take_sent(), ["705: 00"]);
-        board
+        let node = Node::with_application(device, None, application);
+        Self { chip, runner: Runner::new(node, handle.clone(), handle) }
     }
 
     fn chip(&self) -> std::cell::RefMut<'_, Chip> {
@@ -276,6 +286,46 @@ fn only_lss_answers_outlive_a_reset_of_the_communication() {
     assert_eq!([&first[..7], boot_up, &second[..7]], ["7E4: 5E", "705: 00", "7E4: 5A"]);
 }
 
+/// A board in NMT operational on a busy bus, with a heartbeat every 100 ms and this event timer of its first TPDO.
+fn operational(event_timer_ms: &str) -> Board<Machine, 2, 2> {
+    let device = device(ADDRESS).with_defaults(defaults(5).with_heartbeat_ms(100));
+    let mut board = Board::with_application(device, Machine::new());
+    board.pass_ms(1);
+    board.receive(&[&format!("605: 2B 00 18 05 {event_timer_ms} 00 00 00"), "000: 01 05"]);
+    board.pass_ms(1);
+    board.take_sent();
+    board.chip().is_bus_free = false;
+    board
+}
+
+#[test]
+fn heartbeats_go_on_whatever_waited_for_the_bus_when_pdos_were_dropped() {
+    for end in ["000: 80 05", "000: 02 05"] {
+        let mut board = operational("00");
+        board.pass_ms(100);
+        board.runner.application(|machine| machine.level = 7);
+        board.chip().complete();
+        board.runner.handle_transmitted();
+        assert_eq!(board.take_sent(), ["705: 05"], "the TPDO waits behind the heartbeat");
+        check_heartbeats(board, end);
+
+        let mut board = operational("32");
+        board.pass_ms(50);
+        assert_eq!(board.chip().place.map(|frame| frame.cob_id()), Some(0x185), "a timed TPDO");
+        check_heartbeats(board, end);
+    }
+}
+
+/// Ends NMT operational on a bus that is free from then on.
+fn check_heartbeats(mut board: Board<Machine, 2, 2>, end: &str) {
+    board.receive(&[end]);
+    assert_eq!(board.chip().place, None);
+    board.chip().is_bus_free = true;
+    board.pass_ms(1_000);
+    let heartbeats = board.take_sent().texts();
+    assert!((9..=10).contains(&heartbeats.len()), "{end}: {heartbeats:?}");
+}
+
 #[test]
 fn frames_that_find_no_room_are_dropped() {
     let mut board = Board::with_node_id();
@@ -284,6 +334,57 @@ fn frames_that_find_no_room_are_dropped() {
     (0..30).for_each(|_| board.receive(&["5E"]));
     board.free_bus();
     assert_eq!(board.take_sent().texts().len(), 1 + 16);
+}
+
+/// The handlers, one of which an interrupt calls first after a halt.
+const HANDLERS: [fn(&mut Runner<Handle, Handle>); 4] = [
+    |runner| runner.handle_received(),
+    |runner| runner.handle_transmitted(),
+    |runner| runner.handle_status(),
+    |runner| _ = runner.handle_alarm(),
+];
+
+/// Lets a debugger halt the program for so many seconds, while the controller goes on; then calls this handler.
+fn halt(board: &mut Board, seconds: u32, handler: fn(&mut Runner<Handle, Handle>)) {
+    let end = Instant::from_micros(board.chip().now_us).plus_micros(seconds * 1_000_000);
+    board.chip().now_us = end.as_micros();
+    if board.chip().place.is_some() {
+        board.chip().complete();
+    }
+    board.take_sent();
+    board.chip().is_bus_free = true;
+    handler(&mut board.runner);
+    board.pass_ms(100);
+}
+
+/// Two seconds, and more than half a turn of the count of microseconds.
+#[test]
+fn what_came_or_waited_while_a_debugger_had_halted_the_core_is_dropped() {
+    for (seconds, handler) in [2, 40 * 60].into_iter().flat_map(|s| HANDLERS.map(|h| (s, h))) {
+        let mut board = Board::with_node_id();
+        board.chip().is_bus_free = false;
+        board.receive(&["04 01", "5E", "5A", "605: 40 00 10 00 00 00 00 00"]);
+        let late = ["5B", "605: 40 18 10 01 00 00 00 00"].map(frames::of_master);
+        board.chip().received.extend(late.map(Received::Frame));
+        halt(&mut board, seconds, handler);
+        assert_eq!(board.take_sent(), SILENCE);
+        board.receive(&["5E"]);
+        assert_eq!(board.take_sent().texts().len(), 1);
+    }
+}
+
+#[test]
+fn a_block_upload_does_not_go_on_after_a_halt_of_the_core() {
+    for handler in HANDLERS {
+        let mut board = Board::with_node_id();
+        board.receive(&["605: A0 08 10 00 7F 00 00 00"]);
+        assert!(board.take_sent().texts()[0].starts_with("585: C"));
+        board.chip().is_bus_free = false;
+        board.receive(&["605: A3 00 00 00 00 00 00 00"]);
+        assert_eq!(board.chip().place.map(|segment| segment.data()[0]), Some(1));
+        halt(&mut board, 2, handler);
+        assert_eq!(board.take_sent(), SILENCE);
+    }
 }
 
 #[test]
@@ -406,7 +507,8 @@ fn filters_get_the_cob_ids_in_full_lists() {
 
 #[test]
 fn a_loss_of_the_settings_is_reported() {
-    let flash = BoardFlash::with_content(vec![0; 0x8000], 0);
+    // A record of an unknown kind.
+    let flash = testkit::settings::flash_with(&[(0, 0, testkit::settings::record(1, 2, 5, 2, 5))]);
     let (mut log, found) = Storage::open_with_parameters(flash);
     let mut board = Board::with_node_id();
     let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);

@@ -4,7 +4,8 @@ use canopen_node::{BusEvent, Instant, sdo::Abort};
 use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,
-    sdo::{Client, crc, request},
+    sdo::{Client, request},
+    sdo_messages::crc,
 };
 
 use crate::sdo_machine::{Machine, board, board_with_memory, bytes};

@@ -6,8 +6,7 @@ use testkit::{
     frames::{Frames, SILENCE},
     node_rig::NodeRig,
     random::Random,
-    sdo::crc,
-    sdo_messages::{Address, initiate, segment},
+    sdo_messages::{Address, crc, initiate, segment},
 };
 
 use crate::sdo_machine::{CONSTANT, Machine, board};

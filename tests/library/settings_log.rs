@@ -2,16 +2,21 @@
 
 use canopen_node::{
     BitRate, NodeId, Settings,
-    settings::{Error, Found, Log},
+    settings::{Error, Found, Log, parameters},
 };
 use testkit::{
     flash::{BoardFlash, Flash},
+    power_cut::{EachKind, store, with_each_kind},
     random::Random,
-    settings::{flash_with, open, record, sealed, settings},
+    settings::{
+        flash_with, open, open_with_parameters, parameters as packed, place, record, sealed,
+        settings,
+    },
 };
 
-/// The number of records in a bank of 16 KB.
-const RECORDS: u16 = 512;
+/// The length of a place in flash that is written in words, and its first bytes, which say that it was begun.
+const PLACE: usize = 40;
+const BEGUN: usize = 4;
 
 #[test]
 fn a_new_device_is_blank_once_and_has_no_settings() {
@@ -39,22 +44,51 @@ fn stored_settings_are_found_at_the_next_open() {
     }
 }
 
+/// A record that says how the other bank is.
+fn with_other_bank(mut record: [u8; 32], other_is: u8) -> [u8; 32] {
+    record[22] = other_is;
+    sealed(record)
+}
+
 #[test]
 fn the_record_in_flash_is_the_documented_one() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
-    assert_eq!(flash.content()[..4], [0, 2, 0, 0], "the sequence");
-    assert_eq!(flash.content()[4..8], [0xFF, 0xFD, 0xFF, 0xFF], "its complement");
-    assert_eq!(flash.content()[8..28], [0xFF; 20]);
-    assert_eq!(&flash.content()[28..32], b"LSSE");
-    assert_eq!(flash.content()[32..64], record(513, 0, 0xFF, 0xFF, 0xFFFF));
+    let place_at = |place: usize| flash.content()[place * PLACE..][..PLACE].to_vec();
+    for (place, other_is) in [0, 1, 2].into_iter().enumerate() {
+        // The sequence begins with the number of places in a bank.
+        let defaults = record(409 + place as u32, 0, 0xFF, 0xFF, 0xFFFF);
+        let expected = testkit::settings::place::<4>(&with_other_bank(defaults, other_is));
+        assert_eq!(place_at(place), expected, "used, doomed, erased");
+    }
     log.store(
         Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5)).with_heartbeat_ms(1000),
     )
     .unwrap();
-    assert_eq!(flash.content()[64..96], record(514, 1, 5, 2, 1000));
+    assert_eq!(place_at(3), place::<4>(&with_other_bank(record(412, 1, 5, 2, 1000), 2)));
     log.store(Settings::new(BitRate::Kbit10.into())).unwrap();
-    assert_eq!(flash.content()[96..128], record(515, 1, 0xFF, 8, 0));
+    assert_eq!(place_at(4), place::<4>(&with_other_bank(record(413, 1, 0xFF, 8, 0), 2)));
+    assert_eq!(flash.content()[5 * PLACE..], [0xFF; 0x8000 - 5 * PLACE]);
+}
+
+#[test]
+fn the_place_in_flash_with_wide_units_is_the_documented_one() {
+    let flash = Flash::<16, 0x800>::blank(0);
+    let (mut log, ..) = open_with_parameters::<40, 16, 0x800>(&flash);
+    let parameters = packed(5, 18);
+    log.store_with_parameters(settings(5), &parameters).unwrap();
+
+    let content = flash.content();
+    let (part, stored) = (&content[3 * 64..4 * 64], &content[4 * 64..5 * 64]);
+    assert_eq!(part[..16], [0; 16], "it is begun");
+    assert_eq!(part[16..20], 35_u32.to_le_bytes(), "the sequence begins with the places of a bank");
+    assert_eq!(part[20..44], parameters);
+    assert_eq!(part[44..48], *b"\0\0SP");
+    assert_eq!(part[48..], [0xFF; 16]);
+    let mut expected = record(36, 1, 5, settings(5).bit_rate.index(), 5);
+    expected[10..22].copy_from_slice(&stored[26..38]);
+    assert_eq!(stored, place::<16>(&with_other_bank(expected, 2)));
+    assert_eq!(content[5 * 64..], [0xFF; 0x1000 - 5 * 64]);
 }
 
 #[test]
@@ -75,65 +109,103 @@ fn settings_that_are_stored_already_are_not_written() {
 }
 
 #[test]
-fn a_start_after_a_store_writes_nothing() {
-    let flash = BoardFlash::blank(0);
-    let (mut log, _) = Log::open(flash.clone());
-    for n in 1..5 {
-        log.store(settings(n)).unwrap();
-        let writes = flash.writes();
-        (log, _) = Log::open(flash.clone());
-        assert_eq!((flash.writes(), flash.erases()), (writes, 2));
-        assert_eq!(log.settings(), Some(settings(n)));
+fn a_start_after_a_store_writes_nothing_with_any_unit() {
+    struct Stores;
+    impl EachKind for Stores {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let flash = Flash::<W, E>::blank_with_sectors(4, 0);
+            assert_eq!(open(&flash), (None, Found::Blank));
+            for n in 1..5 {
+                let (mut log, found) = Log::open(flash.clone());
+                assert_eq!(found, Found::Complete);
+                log.store(settings(n)).unwrap();
+                let steps = (flash.writes(), flash.erases());
+                assert_eq!(open(&flash), (Some(settings(n)), Found::Complete));
+                assert_eq!((flash.writes(), flash.erases()), steps);
+            }
+        }
     }
+    with_each_kind(&mut Stores);
 }
 
 #[test]
-fn a_start_appends_a_record_without_its_last_word_once_more_and_the_next_writes_nothing() {
+fn a_start_appends_a_record_that_is_not_certain_once_more_and_the_next_writes_nothing() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
     for n in 1..5 {
         log.store(settings(2 * n)).unwrap();
-        flash.cut_power_after(7);
-        assert_eq!(log.store(settings(2 * n + 1)), Err(Error::Refused));
-        flash.power_on();
-        let end = 32 * usize::from(3 * n + 1);
+        log.store(settings(2 * n + 1)).unwrap();
+        // Behind the three records of the format.
+        let end = PLACE * (3 + 3 * usize::from(n) - 1);
         (end - 4..end).for_each(|at| flash.corrupt(at, 0xFF));
         let writes = flash.writes();
         Log::open(flash.clone());
-        assert_eq!(flash.writes(), writes + 8, "a record");
+        assert_eq!(flash.writes(), writes + 10, "a record");
         (log, _) = Log::open(flash.clone());
-        assert_eq!((flash.writes(), flash.erases()), (writes + 8, 2));
+        assert_eq!((flash.writes(), flash.erases()), (writes + 10, 2));
         assert_eq!(log.settings(), Some(settings(2 * n + 1)));
     }
 }
 
 #[test]
-fn full_banks_refuse_a_store_and_the_next_open_makes_room() {
-    let flash = BoardFlash::blank(0);
-    // Each bank begins with a mark, and in a new device a record of the defaults follows.
-    let mut room = RECORDS - 2 + RECORDS - 1;
-    for erases in 2..5 {
-        let (mut log, _) = Log::open(flash.clone());
-        assert_eq!(flash.erases(), erases);
-        for n in 1..=room {
-            assert_eq!(log.store(settings(n)), Ok(()), "{n}");
+fn full_banks_refuse_a_store_and_the_next_start_makes_room_with_any_unit() {
+    struct Stores;
+    impl EachKind for Stores {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let flash = Flash::<W, E>::blank_with_sectors(4, 0);
+            // Of 24 places eight are kept for starts.
+            let room = 24 - 8;
+            let mut n = 0;
+            for _ in 0..5 {
+                let (mut log, _) = Log::open(flash.clone());
+                let erases = flash.erases();
+                let mut stored = 0;
+                let outcome = loop {
+                    n += 1;
+                    match log.store(settings(n)) {
+                        Ok(()) => stored += 1,
+                        Err(error) => break error,
+                    }
+                };
+                assert_eq!(outcome, Error::Full);
+                assert!(stored >= room, "unit of {W}: {stored} stores");
+                assert_eq!((log.settings(), flash.erases()), (Some(settings(n - 1)), erases));
+                assert_eq!(open(&flash.duplicate(0)).0, Some(settings(n - 1)));
+            }
         }
-        assert_eq!(log.store(settings(room + 1)), Err(Error::Full));
-        assert_eq!(log.settings(), Some(settings(room)));
-        assert_eq!(log.store(settings(room)), Ok(()), "which are unchanged");
-        assert_eq!(flash.erases(), erases, "store never erases");
-        assert_eq!(open(&flash.duplicate(0)), (Some(settings(room)), Found::Complete));
-        // The next start erases the bank without the last record.
-        room = RECORDS - 1;
     }
+    with_each_kind(&mut Stores);
+}
+
+#[test]
+fn parameters_up_to_the_capacity_can_be_stored_after_every_start_with_any_unit() {
+    struct Stores;
+    impl EachKind for Stores {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            for sectors in 2..6 {
+                let len = parameters::capacity(sectors * E, W) - 6;
+                let flash = Flash::<W, E>::blank_with_sectors(sectors, 0);
+                let mut last = (None, Vec::new());
+                for n in 1..40 {
+                    let (mut log, found, _) = open_with_parameters::<1024, W, E>(&flash);
+                    assert_eq!(found, last);
+                    last = (Some(settings(n)), packed(n, len));
+                    assert!(store(&mut log, &last), "unit of {W}, {len} bytes, store {n}");
+                }
+            }
+        }
+    }
+    with_each_kind(&mut Stores);
+    assert_eq!(parameters::capacity(0x4000, 4), 199 * 24);
+    assert_eq!(parameters::capacity(0x4000, 8), 165 * 24);
 }
 
 #[test]
 fn open_erases_only_after_the_log_has_moved_to_the_other_bank() {
     let flash = BoardFlash::blank(0);
     let (mut log, _) = Log::open(flash.clone());
-    // The mark and the record of defaults.
-    for n in 2..RECORDS {
+    // Three places are taken by the format, eight are kept for starts.
+    for n in 3..409 - 8 {
         log.store(settings(n)).unwrap();
         Log::open(flash.duplicate(0));
     }
@@ -143,24 +215,6 @@ fn open_erases_only_after_the_log_has_moved_to_the_other_bank() {
     for _ in 0..2 {
         assert_eq!(open(&flash), (Some(settings(0)), Found::Complete));
         assert_eq!(flash.erases(), erases + 1, "once");
-    }
-}
-
-#[test]
-fn a_log_of_an_earlier_version_is_continued() {
-    for number in [1, 2, 300, 511, 512] {
-        let earlier: Vec<_> = (0..number)
-            .map(|n| (0, n, record(n as u32 + 1, 1, n as u8 % 127 + 1, 2, n as u16)))
-            .chain([(1, 0, record(1, 1, 1, 1, 1))])
-            .collect();
-        let flash = flash_with::<4, 0x4000>(&earlier);
-        let (mut log, found) = Log::open(flash.clone());
-        assert_eq!(log.settings().unwrap().heartbeat_ms, number as u16 - 1);
-        assert_eq!((found, flash.erases()), (Found::Complete, 1));
-        for n in 1..500 {
-            assert_eq!(log.store(settings(n)), Ok(()), "{number} {n}");
-        }
-        assert_eq!(open(&flash), (Some(settings(499)), Found::Complete));
     }
 }
 
@@ -190,21 +244,15 @@ fn the_newer_bank_counts_even_where_the_sequence_wraps() {
 #[test]
 fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
     let old = record(8, 1, 4, 3, 4);
-    for byte in 0..32 {
-        for bit in 0..8 {
-            let mut new = record(9, 1, 5, 2, 5);
-            new[byte] ^= 1 << bit;
-            let flash = flash_with::<4, 128>(&[(0, 0, old), (0, 1, new)]);
-            let (mut log, found) = Log::open(flash.clone());
-            // The last word was only not completed if a bit of it is 1.
-            let counts = byte >= 28 && new[byte] & 1 << bit != 0;
-            let (heartbeat_ms, result) =
-                if counts { (5, Found::Complete) } else { (4, Found::Interrupted) };
-            assert_eq!(found, result, "byte {byte}, bit {bit}");
-            assert_eq!(log.settings().unwrap().heartbeat_ms, heartbeat_ms);
-            assert_eq!(log.store(settings(6)), Ok(()), "after it, not over it");
-            assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
-        }
+    for (byte, bit) in (0..32).flat_map(|byte| (0..8).map(move |bit| (byte, bit))) {
+        let mut new = record(9, 1, 5, 2, 5);
+        new[byte] ^= 1 << bit;
+        let flash = flash_with::<4, 1024>(&[(0, 0, old), (0, 1, new)]);
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!(found, Found::Interrupted, "byte {byte}, bit {bit}");
+        assert_eq!(log.settings().unwrap().heartbeat_ms, 4);
+        assert_eq!(log.store(settings(6)), Ok(()), "after it, not over it");
+        assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
     }
 }
 
@@ -220,7 +268,7 @@ fn a_record_of_illegal_settings_does_not_count() {
         record(9, 2, 5, 2, 5),
         record(9, 0xFF, 5, 2, 5),
     ] {
-        let flash = flash_with::<4, 128>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
+        let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
         assert_eq!(open(&flash).0.unwrap().heartbeat_ms, 4, "{wrong:02X?}");
     }
 }
@@ -228,37 +276,60 @@ fn a_record_of_illegal_settings_does_not_count() {
 #[test]
 fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
     let later = record(9, 2, 5, 2, 5);
-    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
+    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
     let (mut log, found) = Log::open(flash.clone());
     assert_eq!((log.settings().unwrap().heartbeat_ms, found), (4, Found::Interrupted));
     assert_eq!(log.store(settings(6)), Ok(()));
-    assert_eq!(flash.content()[32..64], later);
+    assert_eq!(flash.content()[PLACE..][BEGUN..][..32], later);
     assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
-    assert_eq!(open(&flash_with::<4, 256>(&[(0, 0, later)])), (None, Found::Damaged));
+    assert_eq!(open(&flash_with::<4, 1024>(&[(0, 0, later)])), (None, Found::Damaged));
 }
 
 #[test]
 fn unused_bytes_of_a_record_may_have_any_value() {
     let mut later = record(9, 1, 5, 2, 5);
     later[7] = 0x00;
-    later[22..24].fill(0x5A);
-    let flash = flash_with::<4, 256>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, sealed(later))]);
+    later[23] = 0x5A;
+    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, sealed(later))]);
     let (settings, found) = open(&flash);
     assert_eq!((settings.unwrap().heartbeat_ms, found), (5, Found::Complete));
 }
 
 #[test]
-fn garbage_means_defaults_and_is_formatted() {
+fn other_data_is_erased_and_no_damage() {
     let mut random = Random::from_environment();
     let mut contents = vec![vec![0; 0x8000], vec![0x5A; 0x8000]];
     // Another program's data in one bank, the other blank.
     contents.push([vec![0x11; 0x4000], vec![0xFF; 0x4000]].concat());
-    contents.push([vec![0xFF; 0x7FFF], vec![0xFE]].concat());
+    contents.push(
+        [vec![0xFF; 0x4000 + 409 * PLACE - 1], vec![0xFE; 0x4000 - 409 * PLACE + 1]].concat(),
+    );
     contents.push((0..0x8000).map(|_| random.byte()).collect());
+    // Records without what precedes and follows them, as in an earlier version.
+    contents.push((0..1024).flat_map(|n| record(n, 1, 5, 2, 1000)).collect());
     for content in contents {
         let flash = BoardFlash::with_content(content, 0);
         let (mut log, found) = Log::open(flash.clone());
-        assert_eq!((log.settings(), found), (None, Found::Damaged));
+        assert_eq!((log.settings(), found), (None, Found::OtherData));
+        assert_eq!(log.store(settings(1)), Ok(()));
+        assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
+    }
+}
+
+#[test]
+fn a_log_without_a_valid_record_is_damaged_and_formatted() {
+    let flash = BoardFlash::blank(0);
+    let (mut log, _) = Log::open(flash.clone());
+    for n in 1..100 {
+        log.store(settings(n)).unwrap();
+    }
+    let content = flash.content();
+    for broken in BEGUN..BEGUN + 28 {
+        let flash = BoardFlash::with_content(content.clone(), 0);
+        let places = (0..103).map(|place| place * PLACE + broken);
+        places.for_each(|at| flash.corrupt(at, content[at] ^ 1));
+        let (mut log, found) = Log::open(flash.clone());
+        assert_eq!((log.settings(), found), (None, Found::Damaged), "byte {broken}");
         assert_eq!(log.store(settings(1)), Ok(()));
         assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
     }
@@ -269,7 +340,11 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
     let mut content = Vec::new();
     let any = random.u32();
     let first = random.pick(&[0, 1, 0x7FFF_FFFF, 0x8000_0000, u32::MAX, any]);
-    while content.len() < 2 * E {
+    let places = E / PLACE;
+    for at in 0..2 * places {
+        if at == places {
+            content.resize(E, 0xFF);
+        }
         let sequence = first.wrapping_add(random.within(0..1_000) as u32);
         let mut record = record(
             sequence,
@@ -278,14 +353,18 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
             random.byte() % 10,
             random.u64() as u16,
         );
-        match random.within(0..4) {
-            0 => record = [0xFF; 32],
-            1 => record = random.bytes(),
-            2 => record[random.within(0..32) as usize] ^= random.byte(),
+        record = with_other_bank(record, random.byte() % 3);
+        let mut place = place::<4>(&record);
+        match random.within(0..6) {
+            0 => place.fill(0xFF),
+            1 => place.fill_with(|| random.byte()),
+            2 => place[random.within(0..PLACE as u64) as usize] ^= random.byte(),
+            3 => place[PLACE - 4..].fill(0xFF),
             _ => {}
         }
-        content.extend(record);
+        content.extend(place);
     }
+    content.resize(2 * E, 0xFF);
     content
 }
 
@@ -293,7 +372,7 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
 fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
     let mut random = Random::from_environment();
     for _ in 0..5_000 {
-        let flash = Flash::<4, 128>::with_content(any_content::<128>(&mut random), random.u64());
+        let flash = Flash::<4, 640>::with_content(any_content::<640>(&mut random), random.u64());
         let (mut log, found) = Log::open(flash.clone());
         assert!(!matches!(found, Found::MediumFailed(_)));
         assert_eq!(log.settings(), open(&flash.duplicate(0)).0, "the result stays the same");
@@ -305,7 +384,7 @@ fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
 
 #[test]
 fn a_flash_with_room_for_one_record_a_bank_is_of_no_use_but_does_no_harm() {
-    let flash = Flash::<4, 32>::blank(0);
+    let flash = Flash::<4, 64>::blank(0);
     let (mut log, _) = Log::open(flash.clone());
     assert_eq!(log.store(settings(1)), Err(Error::Full));
     assert_eq!(open(&flash).0, None);

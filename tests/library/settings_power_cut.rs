@@ -1,104 +1,224 @@
-//! The settings log with power cuts in any program or erase step, also two in a row: nothing acknowledged is lost,
-//! settings and parameters are found together, and what was found once stays, although an interrupted word reads
-//! differently at each power-on.
+//! The settings log with power cuts in any program or erase step, also several in a row and together with operations
+//! that fail, in flash of every program unit: nothing acknowledged is lost, settings and parameters are found together,
+//! and what was found once stays, although a torn unit reads differently at each read.
 
+use canopen_node::settings::{Found, Log};
 use testkit::{
-    flash::Flash,
-    power_cut::{Expected, cut_at_random, cut_twice, cut_while_moving, store},
+    flash::{
+        Flash,
+        Operation::{Erase, Read, Write},
+    },
+    power_cut::{
+        EachKind, Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice,
+        cut_while_moving, store, with_each_kind,
+    },
     random::Random,
-    settings::{open_with_parameters, parameters, settings},
+    settings::{open, open_with_parameters, parameters, settings},
 };
 
-/// No room for parameters.
-const LEN: usize = 0;
-/// The longest parameters, which take two places of 32 bytes.
+/// The longest parameters, which take two places.
 const WITH_PARAMETERS: usize = 40;
 
 #[test]
-fn two_cuts_in_any_steps_lose_nothing() {
-    cut_twice::<LEN, 4, 128>(&[0xFF; 256], 10, 1);
-    // Written in bytes.
-    cut_twice::<LEN, 1, 128>(&[0xFF; 256], 7, 29);
-    // In the smallest banks.
-    cut_twice::<LEN, 4, 96>(&[0xFF; 192], 9, 1);
-    // Garbage is formatted first.
-    cut_twice::<LEN, 4, 128>(&[0xA5; 256], 4, 3);
-    cut_twice::<LEN, 2, 256>(&[0x00; 512], 2, 11);
-}
-
-#[test]
-fn cuts_in_the_commit_words_of_a_store_and_of_the_starts_after_it_lose_nothing() {
-    let mut random = Random::from_environment();
-    // Two stores fill the bank of four places, and three the other one.
-    for stores in 1..6 {
-        let life = Flash::<4, 128>::blank(0);
-        Expected::<LEN>::nothing().power_on(&life, stores);
-        let steps = life.writes() + life.erases();
-        for _ in 0..500 {
-            let flash = Flash::<4, 128>::blank(random.u64());
-            let mut expected = Expected::<LEN>::nothing();
-            // The last words of a record are its CRC and its last word.
-            flash.cut_power_after(steps - random.pick(&[1, 2]));
-            expected.power_on(&flash, stores);
-            for _ in 0..random.within(1..3) {
-                flash.power_on();
-                flash.cut_power_after(random.pick(&[6, 7]));
-                expected.power_on(&flash, 0);
-            }
-            for _ in 0..4 {
-                flash.power_on();
-                expected.power_on(&flash, 0);
-            }
+fn two_cuts_in_any_steps_lose_nothing_with_any_unit() {
+    struct Cuts;
+    impl EachKind for Cuts {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let every = if W < 4 { 197 } else { 17 };
+            cut_twice::<0, W, E>(&vec![0xFF; 4 * E], 10, every);
+            // Garbage is formatted first.
+            cut_twice::<0, W, E>(&vec![0xA5; 4 * E], 4, every);
+            cut_twice::<WITH_PARAMETERS, W, E>(&vec![0xFF; 6 * E], 9, 3 * every);
         }
     }
-}
-
-#[test]
-fn as_many_cut_starts_in_a_row_as_a_bank_has_places_for_copies_lose_nothing() {
-    // The others hold the mark and the record that is copied.
-    const MOST_CUT_STARTS: u32 = 4 - 2;
-    let mut random = Random::from_environment();
-    for _ in 0..2_000 {
-        let flash = Flash::<4, 128>::blank(random.u64());
-        let mut expected = Expected::<LEN>::nothing();
-        let mut cut_starts = 0;
-        for _ in 0..40 {
-            let stores = if random.one_in(3) { random.within(0..4) } else { 0 };
-            // In the last words of a copy or of a store, in a mark or an erase, in any word.
-            let any = random.within(0..30);
-            let step = random.pick(&[6, 7, 6, 7, (8 * stores).saturating_sub(1), 0, any]);
-            if cut_starts < MOST_CUT_STARTS {
-                flash.cut_power_after(step as usize);
-            }
-            let is_complete = expected.power_on(&flash, stores as usize);
-            cut_starts = if is_complete { 0 } else { cut_starts + 1 };
-            flash.power_on();
-        }
-    }
+    with_each_kind(&mut Cuts);
 }
 
 #[test]
 fn random_histories_with_any_number_of_cuts_lose_nothing() {
-    cut_at_random::<LEN, 4, 256>(1, 500, 100, 20);
+    struct Cuts;
+    impl EachKind for Cuts {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            cut_at_random::<0, W, E>(2, 100, 100, 20);
+            cut_at_random::<WITH_PARAMETERS, W, E>(2, 80, 120, 16);
+        }
+    }
+    with_each_kind(&mut Cuts);
+}
+
+/// Lives in which at most so many starts in a row are cut, or have a failing operation.
+fn disturb<const P: usize, const W: usize, const E: usize>(
+    sectors: usize,
+    histories: usize,
+    fails: bool,
+) {
+    let mut random = Random::from_environment();
+    for _ in 0..histories {
+        let flash = Flash::<W, E>::blank_with_sectors(sectors, random.u64());
+        let mut expected = Expected::<P>::nothing();
+        let mut disturbed_starts = 0;
+        for life in 0..40 {
+            let stores = if random.one_in(3) { random.within(0..4) } else { 0 };
+            let may_disturb = life < MOST_CUT_FORMATS || expected.is_formatted;
+            if may_disturb && disturbed_starts < MOST_CUT_STARTS {
+                let steps = 20 + stores * if W < 4 { 40 } else { 12 };
+                let is_cut = !fails || random.one_in(2);
+                if is_cut {
+                    flash.cut_power_after(random.within(0..steps) as usize);
+                }
+                if fails && (!is_cut || expected.is_formatted) {
+                    let operation = random.pick(&[Write, Write, Erase, Read]);
+                    let others = random.within(0..if operation == Erase { 6 } else { steps });
+                    flash.fail_once(operation, others as usize);
+                }
+            }
+            let is_complete = expected.power_on(&flash, stores as usize);
+            disturbed_starts = if is_complete { 0 } else { disturbed_starts + 1 };
+            flash.power_on();
+            flash.repair();
+        }
+    }
 }
 
 #[test]
-fn cuts_in_banks_of_16_kb_that_are_nearly_full_lose_nothing() {
-    cut_while_moving::<LEN, 4, 0x4000>(1, &mut Random::from_environment());
+fn many_cut_starts_in_a_row_lose_nothing_with_any_unit() {
+    struct Cuts;
+    impl EachKind for Cuts {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            disturb::<0, W, E>(2, 500, false);
+            disturb::<WITH_PARAMETERS, W, E>(3, 200, false);
+        }
+    }
+    with_each_kind(&mut Cuts);
 }
 
 #[test]
-fn two_cuts_in_any_steps_lose_no_parameters() {
-    cut_twice::<WITH_PARAMETERS, 4, 512>(&[0xFF; 1024], 14, 7);
-    // Written in bytes.
-    cut_twice::<WITH_PARAMETERS, 1, 256>(&[0xFF; 512], 6, 61);
-    // In the smallest banks.
-    cut_twice::<WITH_PARAMETERS, 4, 192>(&[0xFF; 384], 8, 3);
+fn cuts_and_operations_that_fail_lose_nothing_together_with_any_unit() {
+    struct Faults;
+    impl EachKind for Faults {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            disturb::<0, W, E>(2, 500, true);
+            disturb::<WITH_PARAMETERS, W, E>(3, 200, true);
+        }
+    }
+    with_each_kind(&mut Faults);
 }
 
 #[test]
-fn random_histories_of_parameters_with_any_number_of_cuts_lose_nothing() {
-    cut_at_random::<WITH_PARAMETERS, 4, 256>(1, 400, 150, 16);
+fn a_start_erases_only_what_a_certain_record_replaces() {
+    struct Faults;
+    impl EachKind for Faults {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let mut random = Random::from_environment();
+            // Up to a store that moves to the other bank, each cut in its last steps.
+            for stores in 3..8 {
+                let beginning = Flash::<W, E>::blank_with_sectors(2, random.u64());
+                let mut expected = Expected::<0>::nothing();
+                expected.power_on(&beginning, stores);
+                let steps = Expected::clone(&expected).steps(&beginning, 1);
+                for (back, fault) in (1..4).flat_map(|back| (0..30).map(move |it| (back, it))) {
+                    let flash = beginning.duplicate(random.u64());
+                    let mut expected = expected.clone();
+                    flash.cut_power_after(steps - back);
+                    expected.power_on(&flash, 1);
+                    flash.power_on();
+                    // An operation of the start fails, the power is cut later.
+                    flash.fail_once(random.pick(&[Write, Erase]), fault);
+                    flash.cut_power_after(fault + random.within(0..20) as usize);
+                    expected.power_on(&flash, 0);
+                    flash.repair();
+                    for _ in 0..3 {
+                        flash.power_on();
+                        expected.power_on(&flash, 0);
+                    }
+                }
+            }
+        }
+    }
+    with_each_kind(&mut Faults);
+}
+
+#[test]
+fn erases_that_are_cut_any_number_of_times_lose_nothing_with_any_unit() {
+    struct Cuts;
+    impl EachKind for Cuts {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let mut random = Random::from_environment();
+            let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+            let mut expected = Expected::<0>::nothing();
+            expected.power_on(&flash, 0);
+            let formatted = flash.erases();
+            for _ in 0..400 {
+                // Each start up to the erase, if there is one, writes at most two records.
+                let stores = random.within(0..4) as usize;
+                let mut cut_starts = 0;
+                while random.one_in(2) || cut_starts < 20 {
+                    cut_starts += 1;
+                    let Some(step) = first_erase(&flash) else {
+                        break;
+                    };
+                    flash.cut_power_after(step + random.within(0..2) as usize);
+                    expected.power_on(&flash, 0);
+                    flash.power_on();
+                }
+                expected.power_on(&flash, stores);
+                flash.power_on();
+            }
+            assert!(flash.erases() > 20 * formatted, "it has moved often");
+        }
+    }
+    with_each_kind(&mut Cuts);
+}
+
+/// The number of steps of the next start before its first erase, if it erases.
+fn first_erase<const W: usize, const E: usize>(flash: &Flash<W, E>) -> Option<usize> {
+    let flash = flash.duplicate(0);
+    flash.fail(Erase);
+    open(&flash);
+    (flash.erases() > 0).then(|| flash.writes())
+}
+
+#[test]
+fn every_start_that_is_not_cut_leaves_the_places_that_cut_starts_need() {
+    struct Starts;
+    impl EachKind for Starts {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let flash = Flash::<W, E>::blank_with_sectors(3, 0);
+            for n in 0..300 {
+                let (mut log, found) = Log::open(flash.clone());
+                assert!(matches!(found, Found::Blank | Found::Complete | Found::Interrupted));
+                let places = (W.max(4) * 2 + 32, 3 * E);
+                let content = flash.content();
+                let is_used = |bank: usize, place: usize| {
+                    let at = bank * places.1 + place * places.0;
+                    content[at..at + places.0].iter().any(|byte| *byte != 0xFF)
+                };
+                let count = places.1 / places.0;
+                let used = [0, 1].map(|bank| (0..count).rev().find(|it| is_used(bank, *it)));
+                let used = used.into_iter().flatten().max().expect("a record");
+                assert!(used < count - 8, "unit of {W}: place {used} of {count} is used");
+                // In the last bytes of the second store, so that a start copies it.
+                log.store(settings(2 * n + 1)).ok();
+                flash.cut_power_after((32 + 2 * W.max(4)) / W - 1);
+                log.store(settings(2 * n + 2)).ok();
+                flash.power_on();
+            }
+        }
+    }
+    with_each_kind(&mut Starts);
+}
+
+#[test]
+fn cuts_while_the_log_moves_in_sectors_of_2_kb_and_of_16_kb_lose_nothing() {
+    let mut random = Random::from_environment();
+    let random = &mut random;
+    let cuts = cut_while_moving::<0, 4, 0x800>(2, random)
+        + cut_while_moving::<0, 4, 0x4000>(1, random)
+        + cut_while_moving::<WITH_PARAMETERS, 8, 0x800>(2, random)
+        + cut_while_moving::<0, 8, 0x4000>(1, random)
+        + cut_while_moving::<WITH_PARAMETERS, 16, 0x800>(3, random)
+        + cut_while_moving::<0, 32, 0x4000>(1, random);
+    assert!(cuts > 500, "{cuts}");
 }
 
 /// Cuts the power in each step of a store of a record, behind parameters of these lengths if there is room for them.
@@ -109,21 +229,22 @@ fn cut_in_each_step<const LEN: usize>(old_len: usize, new_len: usize, steps: usi
     for cut in 0..=steps {
         let mut found_new = 0;
         for _ in 0..100 {
-            let flash = Flash::<4, 512>::blank(random.u64());
-            let (mut log, ..) = open_with_parameters::<LEN, 4, 512>(&flash);
+            let flash = Flash::<4, 1024>::blank(random.u64());
+            let (mut log, ..) = open_with_parameters::<LEN, 4, 1024>(&flash);
             assert!(store(&mut log, &old));
             flash.cut_power_after(cut);
-            assert_eq!(store(&mut log, &new), cut == steps);
+            // It is stored as soon as it is valid.
+            assert_eq!(store(&mut log, &new), cut + 1 >= steps);
             flash.power_on();
-            let first = open_with_parameters::<LEN, 4, 512>(&flash).1;
+            let first = open_with_parameters::<LEN, 4, 1024>(&flash).1;
             assert!(first == old || first == new, "step {cut}: {first:?}");
             found_new += usize::from(first == new);
             for _ in 0..5 {
                 flash.cycle_power();
-                assert_eq!(open_with_parameters::<LEN, 4, 512>(&flash).1, first, "step {cut}");
+                assert_eq!(open_with_parameters::<LEN, 4, 1024>(&flash).1, first, "step {cut}");
             }
         }
-        // The CRC is the last word but one; if it is cut, it may read as written.
+        // The commit word comes last, before what makes the record certain. If it is cut, it may read as written.
         let expected = if cut + 2 < steps {
             0..1
         } else if cut + 1 < steps {
@@ -137,6 +258,6 @@ fn cut_in_each_step<const LEN: usize>(old_len: usize, new_len: usize, steps: usi
 
 #[test]
 fn a_cut_store_leaves_both_old_or_both_new_at_every_power_on() {
-    cut_in_each_step::<LEN>(0, 0, 8);
-    cut_in_each_step::<WITH_PARAMETERS>(30, 34, 24);
+    cut_in_each_step::<0>(0, 0, 10);
+    cut_in_each_step::<WITH_PARAMETERS>(30, 34, 28);
 }

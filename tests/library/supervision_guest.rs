@@ -1,19 +1,23 @@
-//! Bit-rate supervision of a guest: taking part at a rate found by listening, visits home, and LSS meanwhile.
+//! Bit-rate supervision of a guest: taking part at a rate found by listening, its silence, and LSS meanwhile.
 
 use canopen_node::{
     BitRate, BitRateSetting,
-    BusEvent::{Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
-    NodeId, lss, nmt,
+    BusEvent::{Acknowledged, BusOff, Error, FormError, Overrun, Received},
+    NodeId,
+    emergency::Fault,
+    lss, nmt,
 };
 use testkit::{
     frames::{self, SILENCE},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
-    supervised::{TURN_US, guest, searching, unproven, unproven_at},
+    supervised::{TURN_US, asked_guest, guest, searching, unproven_at},
 };
 
 /// Emergency FF10h with 1000 kbit/s in use and 125 kbit/s at home; and its end.
 const AWAY: &str = "0C0: 10 FF 11 E8 03 7D 00 00";
+/// The answer to `5E` of node 40h.
+const ANSWER: &str = "7E4: 5E 40 00 00 00 00 00 00";
 const HOME_AGAIN: &str = "0C0: 00 00 00 E8 03 7D 00 00";
 
 /// The active and the pending bit rate of LSS, in kbit/s; 0 is automatic detection.
@@ -38,21 +42,14 @@ fn send_home(board: &mut NodeRig) {
     assert_eq!(board.bit_rate(), BitRate::Kbit125);
 }
 
-/// The times in milliseconds at which a guest begins its visits while someone is heard at its rate.
-fn visits(board: &mut NodeRig, ms: u64) -> Vec<u64> {
+/// The time for which a guest stays that hears nothing, in milliseconds.
+fn silence_ms(board: &mut NodeRig) -> u64 {
     let begin = board.now();
-    let mut visits = Vec::new();
-    while board.now() < begin + ms * 1000 {
-        let left = begin + ms * 1000 - board.now();
-        board.pass_us(board.us_to_deadline().map_or(left, |us| us.min(left)));
-        if board.node.is_listening() {
-            match board.bit_rate() {
-                BitRate::Kbit125 => visits.push((board.now() - begin) / 1000),
-                _ => _ = board.see(Received),
-            }
-        }
+    while !board.node.is_listening() {
+        board.pass_us(board.us_to_deadline().expect("the end of the silence"));
     }
-    visits
+    assert_eq!(board.bit_rate(), BitRate::Kbit125, "home first");
+    (board.now() - begin) / 1000
 }
 
 #[test]
@@ -62,12 +59,10 @@ fn the_first_valid_frame_elsewhere_decides_and_is_not_obeyed() {
     board.is_acknowledged = true;
     board.timeline();
     board.receive(&frames::command("01 00"));
-    let away = format!("0 ms {AWAY}");
-    let expected = ["0 ms 1000 kbit/s", "0 ms resume", "0 ms 740: 00", &away];
-    assert_eq!(board.timeline(), expected);
+    assert_eq!(board.timeline(), ["0 ms 1000 kbit/s", "0 ms resume"]);
     assert_eq!(board.node.nmt_state(), nmt::State::PreOperational);
     board.lss("04 01");
-    assert_eq!(board.lss("5E"), ["5E 40"], "the second is");
+    assert_eq!(board.lss("5E").0.first().map(frames::text).as_deref(), Some(ANSWER), "the second");
     let mut board = searching();
     board.see(Error);
     board.receive(&frames::stranger());
@@ -76,7 +71,7 @@ fn the_first_valid_frame_elsewhere_decides_and_is_not_obeyed() {
 
 #[test]
 fn the_rate_found_is_active_and_the_stored_one_pending() {
-    let mut board = guest();
+    let mut board = asked_guest();
     assert_eq!((lss_rates(&board), objects(&mut board)), ([1000, 125], [125, 1000, 1]));
     board.configure("11 07");
     assert_eq!(board.lss("17"), ["17 00"]);
@@ -94,7 +89,7 @@ fn a_guest_stores_and_activates_the_rate_that_13_or_15_has_set() {
         (&["15 00 00", "17"], BitRate::Kbit1000, BitRate::Kbit1000),
         (&["13 00 05", "17"], BitRate::Kbit1000, BitRate::Kbit125),
     ] {
-        let mut board = guest();
+        let mut board = asked_guest();
         board.lss("04 01");
         requests.iter().for_each(|request| _ = board.lss(request));
         assert_eq!(board.bit_rate(), active, "{requests:?}");
@@ -104,7 +99,7 @@ fn a_guest_stores_and_activates_the_rate_that_13_or_15_has_set() {
 
 #[test]
 fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
-    let mut board = guest();
+    let mut board = asked_guest();
     board.lss("04 01");
     board.timeline();
     board.lss("15 0A 00");
@@ -122,7 +117,7 @@ fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
 
 #[test]
 fn a_guest_that_is_switched_home_is_home() {
-    let mut board = guest();
+    let mut board = asked_guest();
     board.configure("13 00 04, 15 00 00");
     assert_eq!(objects(&mut board), [125, 125, 1]);
     assert_eq!(board.number(0x1001, 0), 0);
@@ -131,7 +126,7 @@ fn a_guest_that_is_switched_home_is_home() {
 #[test]
 fn a_guest_leaves_at_the_second_error_without_a_valid_frame() {
     for proof in [Received, Acknowledged] {
-        let mut board = guest();
+        let mut board = asked_guest();
         for error in [Error, FormError].into_iter().cycle().take(20) {
             board.see(error);
             board.see(BusOff);
@@ -149,7 +144,7 @@ fn a_guest_leaves_at_the_second_error_without_a_valid_frame() {
 #[test]
 fn a_guest_leaves_when_a_frame_finds_no_acknowledge_for_100_ms() {
     for request in [frames::request("5E"), testkit::sdo::request(0x40, "40 00 10 00")] {
-        let mut board = guest();
+        let mut board = asked_guest();
         board.lss("04 01");
         board.timeline();
         board.is_acknowledged = false;
@@ -166,7 +161,7 @@ fn a_guest_leaves_when_a_frame_finds_no_acknowledge_for_100_ms() {
 
 #[test]
 fn a_guest_that_leaves_listens_at_home_and_then_where_it_was() {
-    let mut board = guest();
+    let mut board = asked_guest();
     board.see(Error);
     board.see(Error);
     board.see(FormError);
@@ -183,140 +178,143 @@ fn a_guest_that_leaves_listens_at_home_and_then_where_it_was() {
     assert_eq!(board.timeline(), expected);
 }
 
-#[test]
-fn a_guest_visits_home_2_4_8_to_64_s_after_joining() {
-    let mut board = guest();
-    let visits = visits(&mut board, 250_000);
-    let gaps: Vec<_> = visits.windows(2).map(|pair| (pair[1] - pair[0]) / 1000).collect();
-    assert_eq!(visits[0], 2_014, "shifted by the serial number");
-    assert_eq!(gaps, [4, 8, 16, 32, 64, 64]);
-}
-
-#[test]
-fn a_request_of_a_master_keeps_a_guest_for_64_s() {
-    for frame in [
-        frames::request("04 00"),
-        frames::command("01 00"),
-        testkit::sdo::request(0x40, "40 00 10 00"),
-        canopen_node::Frame::new(0x080, &[]).expect("SYNC"),
-    ] {
-        let mut board = guest();
-        board.pass_ms(1_000);
-        board.receive(&frame);
-        assert_eq!(visits(&mut board, 70_000), [64_014], "{frame:?}");
-    }
-    let mut board = guest();
-    board.pass_ms(1_000);
-    board.receive(&frames::stranger());
-    assert_eq!(visits(&mut board, 3_000), [1_014], "another frame does not");
-}
-
-#[test]
-fn guests_visit_home_together_2_s_after_the_last_one_has_joined() {
-    for (code, first_visit) in [("10 FF", 2_014), ("20 81", 514)] {
-        let mut board = guest();
-        board.pass_ms(1_500);
-        board.receive(&frames::of_node(&format!("0C1: {code} 11 E8 03 7D 00 00")));
-        assert_eq!(visits(&mut board, 3_000), [first_visit], "emergency {code}");
-    }
-}
-
-/// A guest with a heartbeat that has just begun a visit.
-fn visitor() -> NodeRig {
-    let mut board = unproven_at(BitRate::Kbit125, 1_000);
+/// A guest with a heartbeat every 10 ms.
+fn guest_with_heartbeat() -> NodeRig {
+    let mut board = unproven_at(BitRate::Kbit125, 10);
     board.see(Error);
     board.is_acknowledged = true;
     board.see(Received);
-    board.pass_us(2_014_000);
-    assert!(board.node.is_listening());
-    board.is_acknowledged = false;
     board.timeline();
     board
 }
 
 #[test]
-fn a_visitor_listens_then_takes_part_for_two_heartbeats_and_returns() {
-    let mut board = visitor();
-    board.pass_ms(60);
-    let expected = [
-        "49.44 ms 125 kbit/s",
-        "49.44 ms resume",
-        "49.44 ms 740: 7F",
-        "50.72 ms listen at 1000 kbit/s",
-    ];
-    assert_eq!(board.timeline(), expected);
-    assert_eq!(board.see(Received), ["740: 7F"], "a guest again");
-    assert_eq!(objects(&mut board), [125, 1000, 1], "no new rescue");
+fn a_guest_sends_nothing_of_its_own_accord() {
+    let mut board = guest_with_heartbeat();
+    for _ in 0..100 {
+        board.node.handle_fault(Fault::SettingsLost);
+        board.see(Overrun);
+        // Requests to others, and one that has no answer.
+        board.receive(&testkit::sdo::request(0x41, "40 00 10 00"));
+        board.nmt("01 00");
+        board.lss("04 00");
+        board.pass_ms(1_999);
+    }
+    assert_eq!(board.timeline(), SILENCE);
+    assert_eq!(board.node.nmt_state(), nmt::State::Operational, "it obeys");
+    board.nmt("80 00");
+    board.see(Error);
+    board.see(Error);
+    board.is_acknowledged = true;
+    board.pass_ms(5_000);
+    let sent = board.timeline();
+    assert!(sent.iter().any(|act| act.ends_with("740: 7F")), "at home again: {sent:?}");
+    assert!(sent.iter().any(|act| act.contains("0C0: 10 63")), "and all is reported: {sent:?}");
 }
 
 #[test]
-fn errors_send_a_visitor_back() {
-    for (events, us, expected) in [
-        (&[Error][..], 1, &["0 ms listen at 1000 kbit/s"][..]),
-        (&[FormError], 1, &[]),
-        (&[Error], TURN_US, &[]),
-        (&[Error, Error], TURN_US, &["0 ms listen at 1000 kbit/s"]),
+fn a_guest_reports_itself_once_with_the_first_answer() {
+    let sdo = || testkit::sdo::request(0x40, "40 18 10 04");
+    let serial = "5C0: 43 18 10 04 EF BE AD DE";
+    for (request, first, again) in [
+        (frames::request("5E"), &[ANSWER, "740: 00", AWAY][..], &[ANSWER][..]),
+        (sdo(), &["740: 00", serial, AWAY], &[serial]),
+        (frames::command("82 00"), &["740: 00", AWAY], &["740: 00"]),
     ] {
-        let mut board = visitor();
-        board.pass_us(us);
-        board.timeline();
-        events.iter().for_each(|&event| _ = board.see(event));
-        assert_eq!(board.timeline(), expected, "{events:?} after {us} us");
-    }
-}
-
-#[test]
-fn a_visitor_that_is_heard_or_hears_stays_home() {
-    for (us, proof) in [(1, Received), (TURN_US, Received), (TURN_US, Acknowledged)] {
-        let mut board = visitor();
-        board.pass_us(us);
-        board.is_acknowledged = true;
-        assert!(board.see(proof).0.iter().any(|frame| frames::text(frame) == HOME_AGAIN));
-        assert_eq!(objects(&mut board), [125, 125, 1]);
-        board.timeline();
-        for _ in 0..100 {
-            board.see(Error);
+        let mut board = guest_with_heartbeat();
+        board.lss("04 01");
+        assert_eq!(board.receive(&request).texts(), first, "{request:?}");
+        for _ in 0..10 {
+            board.node.handle_fault(Fault::SettingsLost);
+            assert_eq!(board.pass_ms(1_900), SILENCE, "neither a heartbeat nor another emergency");
+            assert_eq!(board.receive(&request).texts(), again, "{request:?}");
         }
-        assert!(!board.node.is_listening(), "home is proven: {proof:?}");
     }
 }
 
 #[test]
-fn a_visitor_that_hears_nothing_at_either_rate_stays_home() {
-    let mut board = visitor();
-    board.pass_us(1_280 + 1_100_000 + 2 * TURN_US);
-    assert_eq!((board.bit_rate(), board.node.is_listening()), (BitRate::Kbit125, false));
-    let mut board = visitor();
-    board.see(HeldDominant);
-    assert_eq!((board.bit_rate(), board.node.is_listening()), (BitRate::Kbit125, false));
+fn a_guest_leaves_after_2_s_without_a_valid_frame() {
+    for proof in [None, Some(Received), Some(Acknowledged)] {
+        let mut board = guest();
+        if let Some(proof) = proof {
+            for _ in 0..100 {
+                board.pass_ms(1_999);
+                board.see(FormError);
+                board.see(proof);
+            }
+        }
+        // Those whom it has heard may leave amid a frame.
+        board.see(Error);
+        assert_eq!(board.timeline(), SILENCE, "{proof:?}");
+        assert_eq!(silence_ms(&mut board), 2_000, "{proof:?}");
+        board.timeline();
+        board.pass_us(TURN_US);
+        let expected = ["49.44 ms 125 kbit/s", "49.44 ms resume", "49.44 ms 740: 00"];
+        assert_eq!(board.timeline()[..3], expected, "nobody is there: it takes part at home");
+    }
+}
+
+#[test]
+fn a_guest_in_lss_configuration_state_stays_for_64_s() {
+    let others = [frames::stranger(), frames::request("5A"), frames::command("01 00")];
+    for last in others.map(Some).into_iter().chain([None]) {
+        let mut board = guest();
+        board.lss("04 01");
+        board.pass_ms(60_000);
+        last.inspect(|frame| _ = board.receive(frame));
+        assert_eq!(silence_ms(&mut board), if last.is_some() { 64_000 } else { 4_000 }, "{last:?}");
+        assert_eq!(board.node.lss().state(), lss::State::Waiting);
+    }
+    for end in ["04 00", "82 00"] {
+        let mut board = guest();
+        board.lss("04 01");
+        board.pass_ms(60_000);
+        match end {
+            "04 00" => board.lss(end),
+            _ => board.nmt(end),
+        };
+        assert_eq!(silence_ms(&mut board), 2_000, "after {end}");
+    }
+}
+
+#[test]
+fn a_guest_answers_17_after_a_pause_of_60_s_in_a_session() {
+    let mut board = guest();
+    board.configure("11 07");
+    board.pass_ms(60_000);
+    assert_eq!(board.lss("17"), ["17 00"]);
+    assert_eq!(board.stored().map(|settings| settings.node_id), Some(NodeId::new(7)));
 }
 
 #[test]
 fn ff10_reports_a_rescue_and_its_end_and_the_history_keeps_the_rate() {
-    let mut board = unproven();
-    board.see(Error);
-    board.is_acknowledged = true;
-    assert_eq!(board.see(Received), ["740: 00", AWAY]);
-    assert_eq!(board.number(0x1001, 0), 0x11);
-    assert_eq!(board.number(0x1003, 1), 0x03E8_FF10);
-    board.see(Error);
-    board.see(Error);
-    assert_eq!(board.pass_ms(2_000), [HOME_AGAIN]);
-    assert_eq!(board.number(0x1001, 0), 0);
+    for is_asked in [true, false] {
+        let mut board = if is_asked { asked_guest() } else { guest() };
+        assert_eq!(board.node.node_id(), NodeId::new(0x40));
+        board.see(Error);
+        board.see(Error);
+        // Of a rescue that nobody has noticed both are reported at home.
+        let reports = if is_asked { &[HOME_AGAIN][..] } else { &["740: 00", AWAY, HOME_AGAIN] };
+        assert_eq!(board.pass_ms(2_000).texts(), reports);
+        assert_eq!(board.number(0x1001, 0), 0);
+        assert_eq!(board.number(0x1003, 1), 0x03E8_FF10);
+    }
 }
 
 #[test]
 fn a_rate_found_again_is_no_new_rescue_and_another_one_is() {
-    let mut board = guest();
-    for (errors, message, rescues) in
-        [(0, None, [125, 1000, 1]), (1, Some("0C0: 10 FF 11 20 03 7D 00 00"), [125, 800, 2])]
-    {
+    let mut board = asked_guest();
+    for (errors, message, rescues) in [
+        (0, &[ANSWER][..], [125, 1000, 1]),
+        (1, &[ANSWER, "0C0: 10 FF 11 20 03 7D 00 00"], [125, 800, 2]),
+    ] {
         board.see(Error);
         board.see(Error);
         board.pass_us(TURN_US);
         (0..errors).for_each(|_| _ = board.see(Error));
-        let sent = board.see(Received);
-        assert_eq!(sent.0.first().map(frames::text).as_deref(), message);
+        board.see(Received);
+        board.lss("04 01");
+        assert_eq!(board.lss("5E").texts(), message);
         assert_eq!(objects(&mut board), rescues);
     }
 }

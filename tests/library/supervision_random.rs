@@ -40,6 +40,7 @@ struct Run {
     is_proven: bool,
     /// The time since which the node listens at other rates than home.
     away_since: Option<u64>,
+    is_guest: bool,
     looks: u32,
     rescues: u32,
     switches: u32,
@@ -67,6 +68,7 @@ impl Run {
             trusted_until: 0,
             is_proven: true,
             away_since: None,
+            is_guest: false,
             looks: 0,
             rescues: 0,
             switches: 0,
@@ -87,6 +89,15 @@ impl Run {
                 Action::SetBitRate(rate) => {
                     self.end_stay(at);
                     self.rescues += u32::from(rate != self.home);
+                    self.is_guest = rate != self.home;
+                }
+                Action::Transmit(frame) if self.is_guest => {
+                    let is_asked = match frame.cob_id() {
+                        0x740 => frame.data() == [0],
+                        0x0C0 => frame.data().starts_with(&[0x10, 0xFF]),
+                        _ => true,
+                    };
+                    assert!(is_asked, "a guest sends {}", frames::text(&frame));
                 }
                 _ => {}
             }
@@ -98,6 +109,12 @@ impl Run {
             assert_eq!(self.board.bit_rate(), self.home);
             assert!(!self.board.node.is_listening());
         }
+    }
+
+    fn skip_actions(&mut self) {
+        self.board.take_actions();
+        self.away_since = None;
+        self.is_guest = self.board.bit_rate() != self.home;
     }
 
     fn end_stay(&mut self, at: u64) {
@@ -153,8 +170,7 @@ impl Run {
         self.trusted_until = end + 30_000_000;
         self.switches += 1;
         assert_eq!(self.board.bit_rate(), self.home);
-        self.board.take_actions();
-        self.away_since = None;
+        self.skip_actions();
     }
 
     fn cut_power(&mut self) {
@@ -169,8 +185,7 @@ impl Run {
         self.configured = None;
         self.is_proven = false;
         self.trusted_until = 0;
-        self.away_since = None;
-        self.board.take_actions();
+        self.skip_actions();
     }
 
     fn live_on(&mut self, random: &mut Random) {
@@ -195,8 +210,7 @@ impl Run {
                 let ms = random.within(0..40_000);
                 self.board.be_late_ms(ms);
                 // After late calls the turn at home is late too.
-                self.away_since = None;
-                self.board.take_actions();
+                self.skip_actions();
             }
             11 => {
                 self.board.pass_ms(random.within(0..40_000));

@@ -62,10 +62,10 @@ fn a_new_device_has_none() {
 }
 
 #[test]
-fn each_sub_index_of_1010_stores_it() {
+fn a_store_of_all_stores_it_and_later_stores_of_a_part_keep_it() {
+    let mut board = NodeRig::with_node_id(0x40);
+    set_stamp(&mut board);
     for sub_index in [1, 2, 3] {
-        let mut board = NodeRig::with_node_id(0x40);
-        set_stamp(&mut board);
         assert_eq!(board.save(sub_index), Ok(()));
         for restart in ["82 40", "81 40"] {
             board.nmt(restart);
@@ -74,6 +74,51 @@ fn each_sub_index_of_1010_stores_it() {
         board.configure("11 40, 13 00 00, 17");
         board.power_cycle();
         assert_eq!(stamp(&mut board), STAMP, "LSS keeps it");
+    }
+}
+
+#[test]
+fn a_store_of_a_part_stores_no_stamp_of_values_that_a_power_cut_takes() {
+    for is_configured in [false, true] {
+        for (sub_index, left) in [(1, (1000, 300)), (2, (1000, 0)), (3, (0, 300))] {
+            let mut board = if is_configured { configured() } else { board() };
+            let ramp = board.number(0x2100, 0);
+            set(&mut board, 0x1017, 0, 1000, 2);
+            set(&mut board, 0x2100, 0, 300, 2);
+            set(&mut board, 0x1020, 1, 0x2222_2222, 4);
+            assert_eq!(board.save(sub_index), Ok(()));
+            assert_eq!(board.number(0x1020, 1), 0x2222_2222, "all of it is in use");
+            board.power_cycle();
+            let values = (board.number(0x1017, 0), board.number(0x2100, 0));
+            let left = (left.0, if left.1 == 0 { ramp } else { left.1 });
+            assert_eq!(values, left, "1010h sub {sub_index}");
+            let expected = if sub_index == 1 { (0x2222_2222, 0) } else { NONE };
+            assert_eq!(stamp(&mut board), expected, "1010h sub {sub_index}");
+        }
+    }
+}
+
+#[test]
+fn a_power_cut_in_a_store_of_a_part_leaves_no_stamp_without_its_values() {
+    for sub_index in [2, 3] {
+        for step in 0.. {
+            let mut board = configured();
+            set(&mut board, 0x1017, 0, 1000, 2);
+            set(&mut board, 0x2100, 0, 300, 2);
+            set(&mut board, 0x1020, 1, 0x2222_2222, 4);
+            board.flash.cut_power_after(step);
+            let is_saved = board.save(sub_index).is_ok();
+            let is_over = board.flash.is_powered();
+            board.flash.power_on();
+            board.power_cycle();
+            let values = (board.number(0x1017, 0), board.number(0x2100, 0));
+            let expected = if values == (0, 200) { STAMP } else { NONE };
+            assert_eq!(stamp(&mut board), expected, "step {step}: {values:?}");
+            assert!(values != (0, 200) || !is_saved, "step {step}");
+            if is_over {
+                break;
+            }
+        }
     }
 }
 

@@ -24,12 +24,12 @@ use embassy_stm32::{
         FDCAN1 as REGISTERS,
         can::regs::{Psr, Txbcr},
     },
-    peripherals::{FDCAN1, PB8, PB9},
+    peripherals::FDCAN1,
 };
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_can::StandardId;
 
-use crate::chip::CAN_HZ;
+use crate::chip::{CAN_HZ, Receive, Transmit};
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const BUFFERS: usize = 3;
@@ -60,8 +60,8 @@ impl Handler<typelevel::FDCAN1_IT0> for Waker {
 /// The CAN controller.
 pub struct Fdcan {
     can: Peri<'static, FDCAN1>,
-    receive: Peri<'static, PB8>,
-    transmit: Peri<'static, PB9>,
+    receive: Peri<'static, Receive>,
+    transmit: Peri<'static, Transmit>,
     driver: Option<Can<'static>>,
     /// The COB-IDs in the transmit buffers.
     sending: [Option<u16>; BUFFERS],
@@ -72,8 +72,8 @@ pub struct Fdcan {
 impl Fdcan {
     pub fn new(
         can: Peri<'static, FDCAN1>,
-        receive: Peri<'static, PB8>,
-        transmit: Peri<'static, PB9>,
+        receive: Peri<'static, Receive>,
+        transmit: Peri<'static, Transmit>,
     ) -> Self {
         let (sending, error) = ([None; BUFFERS], Cell::new(None));
         Self { can, receive, transmit, driver: None, sending, error }

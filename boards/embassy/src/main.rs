@@ -6,6 +6,8 @@
 #[cfg(feature = "bxcan")]
 mod bxcan;
 mod chip;
+mod clock;
+mod crystal;
 mod device;
 #[cfg(feature = "fdcan")]
 mod fdcan;
@@ -13,9 +15,9 @@ mod fdcan;
 use core::cell::RefCell;
 
 use canopen_node::{
-    Instant, Node,
+    Node,
     lss::Address,
-    runner::{self, AsyncSystem, Runner, System},
+    runner::{self, Runner},
     settings::Log,
 };
 use defmt_rtt as _;
@@ -23,8 +25,13 @@ use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_executor::Spawner;
 use embassy_stm32::{gpio::Output, uid::uid, wdg::IndependentWatchdog};
 use embassy_sync::blocking_mutex::{Mutex, NoopMutex};
-use embassy_time::Timer;
 use panic_probe as _;
+
+use clock::Clock;
+
+/// The time-outs of the watchdog: for the start, which may erase the settings' flash, and for a step of the node.
+const START_US: u32 = 20_000_000;
+const STEP_US: u32 = 2_000_000;
 
 /// What the node needs of the chip.
 struct Parts<C, F> {
@@ -32,32 +39,26 @@ struct Parts<C, F> {
     flash: F,
     run: Output<'static>,
     error: Output<'static>,
-    watchdog: IndependentWatchdog<'static, chip::Watchdog>,
+    clock: Clock,
 }
 
-/// The time driver of embassy, and the core.
-struct Core;
-
-impl System for Core {
-    fn now(&self) -> Instant {
-        Instant::from_micros(embassy_time::Instant::now().as_micros() as u32)
-    }
-
-    fn reset(&mut self) {
-        cortex_m::peripheral::SCB::sys_reset();
-    }
-}
-
-impl AsyncSystem for Core {
-    async fn wait_until(&mut self, at: Instant) {
-        Timer::after_micros(at.micros_after(self.now()).into()).await;
-    }
+/// Starts the watchdog, or changes its time-out.
+fn watch(timeout_us: u32) -> IndependentWatchdog<'static, chip::Watchdog> {
+    // SAFETY: nothing else uses it. embassy-stm32 hands it out after its wait for the clocks, which it shall watch.
+    let mut watchdog = IndependentWatchdog::new(unsafe { chip::Watchdog::steal() }, timeout_us);
+    watchdog.unleash();
+    watchdog
 }
 
 #[embassy_executor::main]
 async fn main(_spawner: Spawner) {
-    let Parts { can, flash, mut run, mut error, mut watchdog } =
-        chip::parts(embassy_stm32::init(chip::clocks()));
+    chip::freeze_in_a_halt();
+    watch(START_US);
+    let clocks = chip::clocks();
+    crystal::start(&clocks.rcc);
+    let peripherals = embassy_stm32::init(clocks);
+    crystal::check(&clocks.rcc);
+    let Parts { can, flash, mut run, mut error, clock } = chip::parts(peripherals);
     let flash: NoopMutex<_> = Mutex::new(RefCell::new(flash));
     let settings = BlockingPartition::new(&flash, chip::SETTINGS_OFFSET, chip::SETTINGS_LEN);
     // It may erase, so the node joins the bus later.
@@ -65,8 +66,8 @@ async fn main(_spawner: Spawner) {
     let device = device::DEVICE.with_serial_number(Address::serial_number_of(&uid()));
     let mut node = Node::new(device, log.settings());
     defmt::info!("settings: {}", runner::restore(&mut node, &mut log, found));
-    let mut runner = Runner::new(node, can, Core);
-    watchdog.unleash();
+    let mut runner = Runner::new(node, can, clock);
+    let mut watchdog = watch(STEP_US);
     loop {
         let lit = runner.run_step(&mut log).await;
         run.set_level(lit.run.into());

@@ -65,7 +65,7 @@ fn main() -> ! {
     let mut node = Node::new(device, log.settings());
     runner::restore(&mut node, &mut log, found);
 
-    let can = Controller::new(chip.TWAI0, chip.GPIO3, chip.GPIO2);
+    let can = Controller::new(chip.TWAI0, chip.GPIO3, chip.GPIO10);
     let mut runner = Runner::new(node, can, Chip);
     let mut run = Output::new(chip.GPIO4, Level::Low, OutputConfig::default());
     let mut error = Output::new(chip.GPIO5, Level::Low, OutputConfig::default());

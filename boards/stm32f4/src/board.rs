@@ -113,7 +113,7 @@ fn log_reset_cause(rcc: &RCC) {
     } else if crystal::has_failed() {
         defmt::error!("reset because the crystal stopped");
     } else if cause.sftrstf().bit_is_set() {
-        defmt::info!("reset by the firmware");
+        defmt::info!("reset by the firmware or a debugger");
     } else {
         defmt::info!("power-on, or reset by the pin");
     }

@@ -12,6 +12,9 @@ pub fn found(found: Found, settings: &Settings) {
             )
         }
         Found::Blank => defmt::info!("no settings stored yet; using the defaults"),
+        Found::OtherData => {
+            defmt::info!("other data found, erased; using the defaults")
+        }
         Found::Damaged => {
             defmt::error!("the settings in the flash are damaged; using the defaults")
         }

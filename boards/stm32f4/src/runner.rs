@@ -102,8 +102,8 @@ impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, cons
     }
 
     /// Reports an error of the application, as [`Node::report`] does.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
-        self.runner.report(code, register, information);
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
+        self.runner.report(code, register, information)
     }
 
     /// Ends an error of the application, as [`Node::end_report`] does.

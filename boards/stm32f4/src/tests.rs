@@ -109,12 +109,12 @@ fn bytes_are_written_at_a_low_supply() {
 }
 
 #[test]
-fn settings_outlast_a_damaged_flash_and_restarts() {
+fn settings_outlast_other_data_in_the_flash_and_restarts() {
     let _chip = memory::take();
     let settings = |node_id| device::DEFAULTS.with_node_id(NodeId::new(node_id));
     settings_flash().write(0, &[0; 64]).unwrap();
     let (mut log, found) = Log::<_, 0>::open(settings_flash());
-    assert_eq!((found, log.settings()), (Found::Damaged, None));
+    assert_eq!((found, log.settings()), (Found::OtherData, None));
     for node_id in [5, 6, 7] {
         log.store(settings(node_id)).unwrap();
         let (restarted, found) = Log::<_, 0>::open(settings_flash());

@@ -118,7 +118,8 @@ mod app {
             let step = runner.application(|thermo| thermo.step(millivolts));
             for sensor in 0..4 {
                 match (step.new_faults >> sensor & 1, step.ended_faults >> sensor & 1) {
-                    (1, _) => runner.report(SENSOR_FAULT + sensor, DEVICE_PROFILE, [0; 5]),
+                    // There is room for eight errors.
+                    (1, _) => _ = runner.report(SENSOR_FAULT + sensor, DEVICE_PROFILE, [0; 5]),
                     (_, 1) => runner.end_report(SENSOR_FAULT + sensor),
                     _ => {}
                 }

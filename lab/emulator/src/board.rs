@@ -12,7 +12,6 @@ use crate::{
     Time,
     can::{Clock, bxcan},
     chip::{Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
-    coverage::Recorder,
     engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
@@ -117,14 +116,6 @@ impl Board {
             power_ups: 0,
             resets: Vec::new(),
         };
-        if let Some(coverage) = image.coverage() {
-            let ends =
-                image.segments().map(|(address, bytes)| address - FLASH_BASE + bytes.len() as u32);
-            let end = ends.max().unwrap_or(0) as usize;
-            let recorder =
-                Recorder::new(Arc::clone(coverage), &board.chip().flash().bytes()[..end]);
-            board.engine.record(recorder);
-        }
         board.power_on();
         board
     }
@@ -277,6 +268,20 @@ impl Board {
             self.powered = true;
             self.start(ResetCause::BrownOut, self.dark);
         }
+    }
+
+    /// Halts the core as a debugger does. Timers, watchdog and CAN go on, but for what DBGMCU freezes.
+    pub fn halt(&mut self) {
+        self.engine.set_halted(true);
+        let now = self.now();
+        self.chip().halt(now);
+    }
+
+    /// Lets a core go on that was [halted](Self::halt).
+    pub fn resume(&mut self) {
+        self.engine.set_halted(false);
+        let now = self.now();
+        self.chip().resume(now);
     }
 
     pub fn stop_crystal(&mut self) {

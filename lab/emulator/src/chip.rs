@@ -81,6 +81,7 @@ pub struct Chip {
     variant: ChipVariant,
     findings: Vec<Finding>,
     can_written: bool,
+    boot: g4::Boot,
 }
 
 const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
@@ -136,6 +137,7 @@ impl Chip {
             variant,
             findings: Vec::new(),
             can_written: false,
+            boot: g4::Boot::default(),
         };
         chip.follow_clocks(Time::ZERO);
         chip.connect_cans(Time::ZERO);
@@ -223,6 +225,9 @@ impl Chip {
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
     pub fn next_event(&self) -> Time {
+        if self.boot.repeats() {
+            return Time::ZERO;
+        }
         let timers = self.timers.iter().map(Timer::deadline);
         [self.iwdg.deadline(), self.flash.operation_end(), self.flash.power_cut_at()]
             .into_iter()
@@ -234,6 +239,9 @@ impl Chip {
 
     /// Carries out what is due, unless it is for the board to do.
     pub fn advance(&mut self, now: Time) -> Option<Request> {
+        if self.boot.repeats() {
+            return Some(Request::Reset(ResetCause::PowerOn));
+        }
         if self.flash.power_cut_at().is_some_and(|cut| now >= cut) {
             return Some(Request::PowerCut);
         }
@@ -279,6 +287,32 @@ impl Chip {
         self.follow_clocks(now);
         self.connect_cans(now);
         self.can_written = false;
+        self.sample_boot_pin(now);
+    }
+
+    /// Whether an STM32G4 has started the boot loader in ROM, which is not modelled: the core does nothing.
+    pub fn stays_in_loader(&self) -> bool {
+        self.boot.in_loader()
+    }
+
+    /// Freezes what DBGMCU says while a debugger halts the core.
+    pub fn halt(&mut self, now: Time) {
+        if self.dbgmcu.freezes_watchdog() {
+            self.iwdg.freeze(now);
+        }
+        for timer in &mut self.timers {
+            timer.freeze(self.dbgmcu.freezes_timer(timer.place()), now);
+        }
+        if self.dbgmcu.freezes_others() {
+            let access = Access { address: 0xE004_2008, width: Width::Word, now, pc: 0 };
+            self.report(access, None, Problem::Unmodelled);
+        }
+    }
+
+    /// Lets everything go on that a halt of the core has frozen.
+    pub fn resume(&mut self, now: Time) {
+        self.iwdg.thaw(now);
+        self.timers.iter_mut().for_each(|timer| timer.freeze(false, now));
     }
 
     /// The blocks that RCC can reset.
@@ -476,7 +510,7 @@ impl Chip {
         }
         self.adc.set_clock(clocks.pclk2);
         for timer in &mut self.timers {
-            let clock = match timer.apb() {
+            let clock = match timer.place().0 {
                 Apb::One => clocks.timclk1,
                 Apb::Two => clocks.timclk2,
             };

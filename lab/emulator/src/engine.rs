@@ -3,7 +3,7 @@
 pub mod clock;
 pub mod rsemu;
 
-use crate::{Time, coverage::Recorder};
+use crate::Time;
 
 /// The reason why a CPU stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,8 +22,12 @@ pub enum Halt {
 /// Flash wait states cost nothing unless the chip's [`ChipVariant`](crate::chip::ChipVariant) states otherwise.
 /// DWT_CYCCNT also counts during sleep.
 pub trait Engine: Send {
-    /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs.
+    /// Restarts from the vector table at `now`, after the time `hold` in which nothing runs; never, if the chip stays in
+    /// its boot loader.
     fn reset(&mut self, now: Time, hold: Time);
+
+    /// Halts the core as a debugger does, or lets it go on.
+    fn set_halted(&mut self, is_halted: bool);
 
     /// Restarts as [`reset`](Self::reset) does, but as a program that the boot loader in ROM starts: interrupts are
     /// enabled, SysTick runs, an interrupt of USB is pending, and the vector table is the one at address 0. The process
@@ -66,9 +70,6 @@ pub trait Engine: Send {
 
     /// The stack pointer in use.
     fn sp(&self) -> u32;
-
-    /// Records the branches of the program from now on.
-    fn record(&mut self, recorder: Recorder);
 }
 
 /// The fault registers of a core that locked up (ARM DDI 0403, B1.5.15).

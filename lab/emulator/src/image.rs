@@ -1,11 +1,6 @@
 //! A firmware image: the flash content of an ELF file, its symbols, and its defmt table.
 
-use std::{
-    collections::HashMap,
-    fmt, fs, io,
-    path::Path,
-    sync::{Arc, OnceLock},
-};
+use std::{collections::HashMap, fmt, fs, io, path::Path, sync::Arc};
 
 #[cfg(feature = "log")]
 use defmt_decoder::Table;
@@ -16,7 +11,7 @@ use object::{
     read::elf::{ElfFile32, FileHeader, ProgramHeader},
 };
 
-use crate::{chip::FLASH_BASE, coverage::Coverage};
+use crate::chip::FLASH_BASE;
 
 /// A linked program. Clones share the content.
 #[derive(Clone, Debug)]
@@ -26,7 +21,6 @@ pub struct Image(Arc<Content>);
 struct Content {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: HashMap<String, u32>,
-    coverage: OnceLock<Arc<Coverage>>,
     #[cfg(feature = "log")]
     table: Option<Table>,
 }
@@ -72,7 +66,6 @@ impl Image {
         Ok(Self(Arc::new(Content {
             segments,
             symbols,
-            coverage: OnceLock::new(),
             #[cfg(feature = "log")]
             table: Table::parse(bytes).map_err(malformed)?,
         })))
@@ -83,7 +76,6 @@ impl Image {
         Self(Arc::new(Content {
             segments,
             symbols: HashMap::new(),
-            coverage: OnceLock::new(),
             #[cfg(feature = "log")]
             table: None,
         }))
@@ -92,19 +84,6 @@ impl Image {
     /// The address and content of each segment.
     pub fn segments(&self) -> impl Iterator<Item = (u32, &[u8])> {
         self.0.segments.iter().map(|(address, bytes)| (*address, bytes.as_slice()))
-    }
-
-    /// Records the branches on all boards that get this image from now on.
-    ///
-    /// # Panics
-    /// The image has a record already.
-    pub fn record(&self, coverage: Coverage) {
-        assert!(self.0.coverage.set(Arc::new(coverage)).is_ok(), "the image has a record already");
-    }
-
-    /// The record of the boards with this image.
-    pub(crate) fn coverage(&self) -> Option<&Arc<Coverage>> {
-        self.0.coverage.get()
     }
 
     pub fn symbol(&self, name: &str) -> Option<u32> {

@@ -3,7 +3,6 @@
 pub mod board;
 pub mod can;
 pub mod chip;
-pub mod coverage;
 pub mod engine;
 pub mod image;
 pub mod network;

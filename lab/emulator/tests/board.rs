@@ -346,6 +346,90 @@ fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
     assert!(prefetched - never < 30, "{never}, {prefetched}");
 }
 
+/// Counts interrupts of TIM3 each millisecond at `COUNTER`; the watchdog is on. DBGMCU freezes this at a halt.
+fn counting(freezes: u32) -> Board {
+    const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
+    const TIM3: u32 = 0x4000_0400;
+    const TIM3_IRQ: usize = 29;
+    let mut program = Program::new();
+    program.store(COUNTER, 0).store(DBGMCU_APB1_FZ, freezes).store(IWDG_KR, 0xCCCC);
+    program.store(RCC_APB1ENR, 1 << 1).store(TIM3 + 0x2C, 15_999).store(TIM3 + 0x0C, 1);
+    program.store(NVIC_ISER, 1 << TIM3_IRQ).store(TIM3, 1).sleep_forever();
+    program.handler(16 + TIM3_IRQ).store(TIM3 + 0x10, 0).store(IWDG_KR, 0xAAAA);
+    program.load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1).back();
+    board(program)
+}
+
+#[test]
+fn a_halted_core_does_nothing_and_the_watchdog_resets_unless_it_is_frozen() {
+    for (freezes, resets) in [(0, 2), (1 << 12, 1), (1 << 12 | 1 << 1, 1)] {
+        let mut board = counting(freezes);
+        run(&mut board, Time::from_us(101_950));
+        assert_eq!(word(&board, COUNTER), 100);
+        board.halt();
+        run(&mut board, Time::from_us(2_101_950));
+        assert_eq!((word(&board, COUNTER), board.resets().len()), (100, resets), "{freezes:#x}");
+        board.resume();
+        run(&mut board, Time::from_us(2_101_960));
+        let is_timer_frozen = freezes >> 1 & 1 == 1;
+        if resets == 1 {
+            // What came in the meantime is a single interrupt.
+            assert_eq!(word(&board, COUNTER), if is_timer_frozen { 100 } else { 101 });
+            run(&mut board, Time::from_us(2_111_960));
+            assert_eq!(word(&board, COUNTER), if is_timer_frozen { 110 } else { 111 });
+            board.halt();
+            run(&mut board, Time::from_s(60));
+            board.resume();
+            run(&mut board, Time::from_s(61));
+        }
+        assert_eq!((board.resets().len(), board.findings()), (resets, vec![]));
+    }
+}
+
+/// RM0440 2.6.
+#[test]
+fn a_board_with_pb8_high_at_a_reset_executes_nothing_and_says_why() {
+    let mut program = Program::new();
+    program.store(COUNTER, 7).stop();
+    let mut board = Board::new(Part::Stm32g431, &program.image(), Settings::default());
+    run(&mut board, Time::from_ms(3));
+    assert_eq!(word(&board, COUNTER), 7);
+    for cause in [ResetCause::PowerOn, ResetCause::Software] {
+        board.power_off();
+        board.chip().gpio_mut().set_input(Pin('B', 8), Some(true));
+        board.power_on();
+        board.reset(cause);
+        let scrambled = word(&board, COUNTER);
+        let before = board.now();
+        run(&mut board, before + Time::from_s(2));
+        assert_eq!((word(&board, COUNTER), board.wake_time()), (scrambled, Time::MAX));
+    }
+    let findings = board.findings();
+    assert_eq!(findings.len(), 1);
+    assert!(findings[0].to_string().contains("BOOT0"), "{}", findings[0]);
+    board.chip().gpio_mut().set_input(Pin('B', 8), Some(false));
+    board.reset(ResetCause::Pin);
+    let before = board.now();
+    run(&mut board, before + Time::from_ms(3));
+    assert_eq!(word(&board, COUNTER), 7);
+}
+
+/// RM0440 3.3.4.
+#[test]
+fn a_read_of_a_double_error_is_an_nmi_that_its_handler_ends_by_eccd() {
+    const WORD: u32 = 0x0800_4000;
+    const FLASH_ECCR: u32 = 0x4002_2018;
+    let mut program = Program::new();
+    program.store(COUNTER, 0).load(R0, WORD + 8).load(R0, WORD + 4).load(R0, WORD).stop();
+    program.handler(NMI).load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1);
+    program.store(FLASH_ECCR, 1 << 31).back();
+    let mut board = Board::new(Part::Stm32g431, &program.image(), Settings::default());
+    board.chip().flash_mut().damage(WORD - 0x0800_0000);
+    board.reset(ResetCause::Pin);
+    run(&mut board, Time::from_ms(3));
+    assert_eq!((word(&board, COUNTER), board.findings()), (2, vec![]));
+}
+
 #[test]
 fn a_brown_out_holds_the_chip_in_reset_and_keeps_ram() {
     let mut program = Program::new();

@@ -12,7 +12,7 @@ use emulator::{
 
 use crate::{
     flash::BoardFlash,
-    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with},
 };
 
 /// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
@@ -53,6 +53,26 @@ pub fn store_settings(flash: &mut [u8], settings: Settings) {
 
 fn log(flash: &[u8]) -> Log<BoardFlash> {
     Log::open(BoardFlash::with_content(flash[SETTINGS].to_vec(), 0)).0
+}
+
+/// A board to be emulated: its chip and crystal, and the variant of its behaviour.
+#[derive(Clone, Copy)]
+pub struct Variant<'a> {
+    pub image: &'a Image,
+    pub part: Part,
+    pub settings: board::Settings,
+}
+
+impl Variant<'_> {
+    /// The board with this number, with the given settings stored or none.
+    pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
+        let settings = board::Settings { unique_id: unique_id(number), ..self.settings };
+        let mut board = Board::new(self.part, self.image, settings);
+        if let Some(stored) = stored {
+            board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
+        }
+        board
+    }
 }
 
 #[cfg(test)]

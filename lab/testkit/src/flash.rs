@@ -1,10 +1,9 @@
-//! A NOR flash in memory. Its power can fail in every program and erase step; what was being programmed or erased then
-//! reads differently at each power-on. Its operations can fail, and its bits can stick. Each unit is programmed once
-//! after an erase, whatever its content is.
+//! A NOR flash in memory. Its power can fail in every program and erase step, its operations can fail, and its bits can
+//! stick. Each unit is programmed once after an erase, whatever its content is.
 //!
-//! A unit of 8 bytes or more has an error-correcting code: if it is torn, or if the erase of its sector was
-//! interrupted, it reads as blank, as written, as anything or as an error, differently each time. A torn unit that is
-//! programmed once more is refused, or completed with the same content.
+//! A unit whose programming was interrupted or failed, and each unit of a sector whose erase was, is torn: it reads as
+//! blank, as written, as anything or as an error, differently each time. If it is programmed once more, that is refused
+//! or completes the same content.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -26,18 +25,20 @@ pub struct Flash<const WRITE: usize, const ERASE: usize>(Rc<RefCell<Chip>>);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     Read,
-    /// The programming of one unit; a failure programs any of its bits.
+    /// The programming of one unit; a failure leaves it torn.
     Write,
-    /// The erasure of one sector; a failure leaves any content.
+    /// The erasure of one sector; a failure leaves it torn.
     Erase,
+    /// Any of these.
+    Any,
 }
 
-/// Cells between two values, left by a power cut during programming.
-#[derive(Clone)]
-struct Marginal {
-    at: usize,
-    before: Vec<u8>,
-    unit: Vec<u8>,
+/// What a flash that dies leaves of the unit that it programs.
+#[derive(Clone, Copy, Debug)]
+pub enum Left {
+    Nothing,
+    SomeBits,
+    All,
 }
 
 #[derive(Clone)]
@@ -45,11 +46,10 @@ struct Chip {
     bytes: Vec<u8>,
     /// The units that were programmed since their erase.
     programmed: Vec<bool>,
-    /// Units have an error-correcting code.
-    has_ecc: bool,
-    marginal: Vec<Marginal>,
-    /// The content of each sector before its erase, which was interrupted.
-    half_erased: Vec<Option<Vec<u8>>>,
+    /// The addresses of the units whose programming was interrupted.
+    torn: Vec<usize>,
+    /// Whether the erase of each sector was interrupted.
+    half_erased: Vec<bool>,
     /// The number of the power-on.
     power_on: u64,
     /// The bits that are stuck at 0 (at 1), by address.
@@ -60,6 +60,10 @@ struct Chip {
     steps_until_cut: Option<usize>,
     /// The operation to fail, the number of successful ones before it, and whether it fails only once.
     fault: Option<(Operation, usize, bool)>,
+    /// What a failed operation leaves of its unit if it does not leave it torn.
+    left: Option<Left>,
+    /// An operation has failed.
+    has_failed: bool,
     writes: usize,
     erases: usize,
 }
@@ -81,9 +85,8 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         let units = bytes.chunks(WRITE);
         Self(Rc::new(RefCell::new(Chip {
             programmed: units.map(|unit| unit.iter().any(|&byte| byte != 0xFF)).collect(),
-            marginal: Vec::new(),
-            has_ecc: WRITE >= 8,
-            half_erased: vec![None; bytes.len() / ERASE],
+            torn: Vec::new(),
+            half_erased: vec![false; bytes.len() / ERASE],
             power_on: seed,
             bytes,
             stuck: Vec::new(),
@@ -91,6 +94,8 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
             powered: true,
             steps_until_cut: None,
             fault: None,
+            left: None,
+            has_failed: false,
             writes: 0,
             erases: 0,
         })))
@@ -102,7 +107,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         {
             let (old, mut new) = (self.0.borrow(), duplicate.0.borrow_mut());
             new.programmed.clone_from(&old.programmed);
-            new.marginal.clone_from(&old.marginal);
+            new.torn.clone_from(&old.torn);
             new.half_erased.clone_from(&old.half_erased);
             new.stuck.clone_from(&old.stuck);
             new.flip();
@@ -143,7 +148,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         chip.flip();
     }
 
-    /// Cycles the power: interrupted cells read differently.
+    /// Cycles the power: torn units read differently.
     pub fn cycle_power(&self) {
         self.0.borrow_mut().flip();
     }
@@ -163,6 +168,17 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
         self.0.borrow_mut().fault = Some((operation, others, true));
     }
 
+    /// Makes every operation of this kind fail, after `others` that succeed. It leaves so much of its unit.
+    pub fn die_after(&self, operation: Operation, others: usize, left: Left) {
+        self.fail_after(operation, others);
+        self.0.borrow_mut().left = Some(left);
+    }
+
+    /// Whether a requested failure has come.
+    pub fn has_died(&self) -> bool {
+        self.0.borrow().has_failed
+    }
+
     /// Whether the requested failure is still to come or persists.
     pub fn is_faulty(&self) -> bool {
         self.0.borrow().fault.is_some()
@@ -170,7 +186,7 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 
     pub fn repair(&self) {
         let mut chip = self.0.borrow_mut();
-        chip.fault = None;
+        (chip.fault, chip.left) = (None, None);
         chip.stuck.clear();
     }
 
@@ -202,7 +218,7 @@ impl Chip {
             }
         }
         if let Some((kind, others, once)) = &mut self.fault
-            && *kind == operation
+            && (*kind == operation || *kind == Operation::Any)
         {
             if *others > 0 {
                 *others -= 1;
@@ -210,6 +226,7 @@ impl Chip {
                 if *once {
                     self.fault = None;
                 }
+                self.has_failed = true;
                 return false;
             }
         }
@@ -224,127 +241,85 @@ impl Chip {
         let place = at..at + unit.len();
         let sector = at / self.sector_len();
         let programmed = &mut self.programmed[at / unit.len()];
-        // In a place that reads blank after a power cut in its first word.
-        let was_cut =
-            self.marginal.iter().any(|marginal| marginal.at == at && marginal.unit == unit);
-        assert!(!*programmed || was_cut, "address {at:#x} is programmed twice");
+        // Where the power was cut in the first unit of a place.
+        let was_torn = self.torn.contains(&at) && self.bytes[place.clone()] == *unit;
+        assert!(!*programmed || was_torn, "address {at:#x} is programmed twice");
         assert!(
-            self.half_erased[sector].is_none(),
+            !self.half_erased[sector],
             "address {at:#x} is programmed after an incomplete erase"
         );
         *programmed = true;
         self.writes += 1;
         let succeeds = self.succeeds(Operation::Write);
-        let before = self.bytes[place.clone()].to_vec();
-        if self.has_ecc {
-            self.bytes[place].copy_from_slice(unit);
-            let is_refused = was_cut && self.random.one_in(2);
-            if succeeds && !is_refused {
-                self.marginal.retain(|marginal| marginal.at != at);
-                return Ok(());
-            }
-            if !was_cut {
-                self.marginal.push(Marginal { at, before, unit: unit.to_vec() });
+        if let (false, true, Some(left)) = (succeeds, self.powered, self.left) {
+            match left {
+                Left::Nothing => self.programmed[at / unit.len()] = false,
+                Left::SomeBits => {
+                    let cells = self.bytes[place].iter_mut().zip(unit);
+                    cells.for_each(|(cell, byte)| *cell &= byte | self.random.byte());
+                    let left = &self.bytes[at..at + unit.len()];
+                    self.programmed[at / unit.len()] = left.iter().any(|byte| *byte != 0xFF);
+                }
+                Left::All => self.bytes[place].copy_from_slice(unit),
             }
             return Err(NorFlashErrorKind::Other);
         }
-        // In a power cut the step may also have been completed or not begun.
-        let tear = if self.powered { 0 } else { self.random.within(0..4) };
-        for (at, byte) in (at..).zip(unit) {
-            let left = match tear {
-                _ if succeeds => 0x00,
-                1 => 0x00,
-                2 => 0xFF,
-                _ => self.random.byte(),
-            };
-            self.bytes[at] &= byte | left;
+        self.bytes[place].copy_from_slice(unit);
+        let is_refused = was_torn && self.random.one_in(2);
+        if succeeds && !is_refused {
+            self.torn.retain(|torn| *torn != at);
+            return Ok(());
         }
-        self.marginal.retain(|marginal| marginal.at != at);
-        if !self.powered {
-            self.marginal.push(Marginal { at, before, unit: unit.to_vec() });
+        if !was_torn {
+            self.torn.push(at);
         }
-        if succeeds { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+        Err(NorFlashErrorKind::Other)
     }
 
-    /// What a unit with an error-correcting code reads as this time. From one power-on to the next all of a sector
-    /// whose erase was interrupted may read as blank, or all as before, and so may a torn unit.
+    /// What a unit reads as this time. From one power-on to the next all of a sector whose erase was interrupted may
+    /// read the same, and so may a torn unit.
     fn tear(&mut self, at: usize, unit: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         let sector = at / self.sector_len();
-        let torn = if self.half_erased[sector].is_some() {
+        let torn = if self.half_erased[sector] {
             sector
-        } else if self.marginal.iter().any(|marginal| marginal.at == at) {
+        } else if self.torn.contains(&at) {
             at
         } else {
             return Ok(());
         };
-        let all = Random::from_seed(self.power_on ^ torn as u64).within(0..4);
+        let same = Random::from_seed(self.power_on ^ torn as u64).within(0..5);
         let random = &mut self.random;
-        match if all < 2 { all } else { random.within(0..5) } {
+        match if same < 3 { same } else { random.within(0..6) } {
             0 => unit.fill(0xFF),
             1 => {}
-            2 => unit.iter_mut().for_each(|byte| *byte |= random.byte()),
-            3 => unit.fill_with(|| random.byte()),
+            2 => {
+                let mut random = Random::from_seed(self.power_on ^ at as u64);
+                unit.iter_mut().for_each(|byte| *byte |= random.byte());
+            }
+            3 => unit.iter_mut().for_each(|byte| *byte |= random.byte()),
+            4 => unit.fill_with(|| random.byte()),
             _ => return Err(NorFlashErrorKind::Other),
         }
         Ok(())
     }
 
-    /// Makes interrupted cells read as either value, or as any mixture.
+    /// Makes torn units read otherwise.
     fn flip(&mut self) {
         self.power_on = self.random.u64();
-        if self.has_ecc {
-            return;
-        }
-        let sector_len = self.sector_len();
-        for (sector, before) in self.bytes.chunks_mut(sector_len).zip(&self.half_erased) {
-            before.iter().for_each(|before| sector.copy_from_slice(before));
-        }
-        for Marginal { at, before, unit } in &self.marginal {
-            let kind = self.random.within(0..4);
-            for ((cell, old), new) in self.bytes[*at..].iter_mut().zip(before).zip(unit) {
-                *cell = match kind {
-                    0 => *old,
-                    1 => old & new,
-                    _ => old & (new | self.random.byte()),
-                };
-            }
-        }
-        for sector in 0..self.half_erased.len() {
-            if self.half_erased[sector].is_some() {
-                self.erase_some(sector * sector_len, sector_len);
-            }
-        }
     }
 
     fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
         let unit_len = self.bytes.len() / self.programmed.len();
         self.programmed[at / unit_len..(at + len) / unit_len].fill(false);
-        self.marginal.retain(|marginal| !(at..at + len).contains(&marginal.at));
+        self.torn.retain(|torn| !(at..at + len).contains(torn));
         let succeeds = self.succeeds(Operation::Erase);
-        let half_erased = &mut self.half_erased[at / len];
+        self.half_erased[at / len] = !succeeds;
         if succeeds {
-            *half_erased = None;
             self.bytes[at..at + len].fill(0xFF);
             return Ok(());
         }
-        half_erased.get_or_insert_with(|| self.bytes[at..at + len].to_vec());
-        if !self.has_ecc {
-            self.erase_some(at, len);
-        }
         Err(NorFlashErrorKind::Other)
-    }
-
-    /// Leaves what an interrupted erase may leave.
-    fn erase_some(&mut self, at: usize, len: usize) {
-        for part in self.bytes[at..at + len].chunks_mut(16) {
-            match self.random.within(0..5) {
-                0 => part.fill(0xFF),
-                1 => part.fill_with(|| self.random.byte()),
-                2 => part.iter_mut().for_each(|byte| *byte |= self.random.byte()),
-                _ => {}
-            }
-        }
     }
 }
 
@@ -363,7 +338,7 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE
         }
         let at = offset as usize;
         bytes.copy_from_slice(&chip.bytes[at..at + bytes.len()]);
-        if chip.has_ecc {
+        if !chip.torn.is_empty() || chip.half_erased.contains(&true) {
             for (at, unit) in (at..).step_by(WRITE).zip(bytes.chunks_mut(WRITE)) {
                 chip.tear(at, unit)?;
             }

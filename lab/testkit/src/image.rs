@@ -10,15 +10,12 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
-use emulator::{chip::Part, coverage::Coverage, image::Image};
+use emulator::{chip::Part, image::Image};
 
 use crate::cargo::{cargo_for_the_chip, workspace};
 
 /// The package of the plain firmware.
 const FIRMWARE: &str = "firmware";
-/// The environment variable with the directory for records of the branches that all boards have taken.
-pub const COVERAGE: &str = "LSS_SLAVE_COVERAGE";
-
 /// A firmware of this workspace whose release image is tested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Firmware {
@@ -80,14 +77,7 @@ pub fn build_example(name: &str, part: Part) -> anyhow::Result<Image> {
 }
 
 fn build_package(package: &str, part: Part) -> anyhow::Result<Image> {
-    let elf = build_elf(package, part)?;
-    let image = Image::from_elf(&elf)?;
-    if let Some(directory) = env::var_os(COVERAGE) {
-        let name = format!("{package}-{}", part.name());
-        let coverage = coverage(Path::new(&directory), &name, &elf);
-        image.record(coverage.context("cannot record branches")?);
-    }
-    Ok(image)
+    Ok(Image::from_elf(&build_elf(package, part)?)?)
 }
 
 /// Builds the release firmware of a package of the workspace for `part`, and returns the ELF file.
@@ -137,9 +127,8 @@ pub(crate) fn build_with(
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
     let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
-    let mut command = cargo_for_the_chip("build");
+    let mut command = cargo_for_the_chip(directory, "build")?;
     command
-        .current_dir(directory)
         .args(["--package", package, "--bin", package, "--release"])
         .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
         .stdin(Stdio::null())
@@ -150,18 +139,6 @@ pub(crate) fn build_with(
     let messages = String::from_utf8_lossy(&output.stdout);
     let path = executable(&messages).context("cargo reported no executable for the firmware")?;
     fs::read(&path).with_context(|| format!("cannot read {path}"))
-}
-
-/// The record `name.branches` in the directory, beside the image `name.elf` that it belongs to.
-fn coverage(directory: &Path, name: &str, image: &[u8]) -> io::Result<Coverage> {
-    let (copy, record) =
-        (directory.join(format!("{name}.elf")), directory.join(format!("{name}.branches")));
-    if fs::read(&copy).ok().as_deref() != Some(image) {
-        // It is not there, or belongs to another image.
-        let _ = fs::remove_file(&record);
-        fs::write(copy, image)?;
-    }
-    Ok(Coverage::new(record))
 }
 
 /// Waits until no other thread or process builds the firmware: all images of a target directory have one path.

@@ -18,6 +18,7 @@ use super::{
     image::{Firmware, example},
     lss_session,
     sdo::{self, Client},
+    wire::{bit_per_s, from_the_wire, on_the_wire},
 };
 
 /// The bit rate of the image on a board with blank flash: `DEFAULTS` of src/device.rs.
@@ -26,6 +27,8 @@ pub const DEFAULT_BIT_RATE: BitRate = BitRate::Kbit125;
 pub const SETTINGS_OFFSET: u32 = 0x4000;
 /// The length of the settings log in bytes: sectors 1 and 2.
 pub const SETTINGS_LENGTH: usize = 0x8000;
+/// The length of a place in the log of the settings.
+pub const PLACE: usize = 40;
 /// The core clock of the image in MHz.
 pub const CORE_MHZ: u64 = 160;
 /// The wait for an answer after its request, in addition to the frame's own time.
@@ -90,29 +93,10 @@ pub fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>) -> Settings {
     Settings::new(bit_rate.into()).with_node_id(node_id)
 }
 
-pub fn bit_per_s(bit_rate: BitRate) -> u32 {
-    u32::from(bit_rate.kbit_per_s()) * 1000
-}
-
-/// The bus frame for a frame of the library.
-pub fn on_the_wire(frame: &canopen_node::Frame) -> Frame {
-    Frame::data(Id::Standard(frame.cob_id()), frame.data())
-}
-
 /// Whether a board has set its bit timing and then joined the bus, by its events since power-on or reset.
 pub fn has_joined<'a>(events: impl Iterator<Item = &'a Event>) -> bool {
     let mut events = events.skip_while(|event| !matches!(event.what, What::BitTiming { .. }));
     events.any(|event| event.what == What::InitializationLeft)
-}
-
-/// The frame of the library for a bus frame, if a driver passes it on.
-pub fn from_the_wire(frame: &Frame) -> Option<canopen_node::Frame> {
-    match frame.id {
-        Id::Standard(id) if !frame.remote && frame.dlc <= 8 => {
-            canopen_node::Frame::new(id, frame.payload())
-        }
-        _ => None,
-    }
 }
 
 /// A frame that a node has sent.

@@ -34,13 +34,10 @@ pub mod sdo_messages;
 pub mod sessions;
 pub mod settings;
 pub mod slave_bus;
-pub mod soak;
 #[cfg(feature = "image")]
 pub mod stack;
-#[cfg(feature = "code")]
-pub mod stack_bound;
 #[cfg(feature = "image")]
 pub mod storm;
 pub mod supervised;
-#[cfg(feature = "code")]
-pub mod thumb;
+#[cfg(feature = "image")]
+pub mod wire;

@@ -7,7 +7,7 @@ use emulator::{
 };
 use lss_master::{Error, Master, Output, Procedure, Timing};
 
-use super::image_rig::{bit_per_s, from_the_wire, on_the_wire};
+use super::wire::{bit_per_s, from_the_wire, on_the_wire};
 
 /// More bits than any frame, intermission included.
 const FRAME_BITS: u32 = 160;

@@ -13,8 +13,11 @@ use crate::{cargo::workspace, image};
 /// The files that the product shares with this repository.
 const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 
-/// The files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 13] = [
+/// The files that are those of the firmware in other words.
+const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
+
+/// The other files of the product, with gaps for its name, its chip and its controller.
+const TEMPLATE: [&str; 9] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
@@ -22,11 +25,7 @@ const TEMPLATE: [&str; 13] = [
     "examples/eds.rs",
     "memory.x",
     "src/application.rs",
-    "src/device.rs",
     "src/flash.rs",
-    "src/lib.rs",
-    "src/main.rs",
-    "src/pins.rs",
     "tests/board.rs",
 ];
 
@@ -75,6 +74,10 @@ impl Product<'_> {
         for path in COPIES {
             files.push((path, read(path)?));
         }
+        for path in OF_FIRMWARE {
+            let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
+            files.push((path, self.exchanges().iter().fold(read(path)?, exchange)));
+        }
         for path in TEMPLATE {
             let template = read(&format!("template/{path}"))?;
             let content = words
@@ -85,30 +88,43 @@ impl Product<'_> {
         Ok(files)
     }
 
+    /// The words of the firmware, and those of the product in their place.
+    fn exchanges(&self) -> [(&'static str, String); 8] {
+        let (transmit, receive) = match self.controller {
+            1 => (9, 8),
+            2 => (13, 12),
+            _ => (4, 3),
+        };
+        let (name, chip) = (self.name, self.chip.name().to_uppercase());
+        [
+            ("use firmware::", format!("use {}::", name.replace('-', "_"))),
+            ("cargo xtask eds", "cargo eds".to_owned()),
+            ("CAN1", format!("CAN{}", self.controller)),
+            ("b.pb9, b.pb8", format!("b.pb{transmit}, b.pb{receive}")),
+            ("0x4C53_5334", "0x0000_0001".to_owned()),
+            ("CANopen LSS slave on an STM32F4", format!("{name} on an {chip}")),
+            ("\"LSS slave\"", format!("{name:?}")),
+            ("!cfg!(feature = \"plain\")", "true".to_owned()),
+        ]
+    }
+
     /// The words for the gaps of the template.
     fn words(&self) -> Vec<(&'static str, String)> {
         let chip = Chip::named(self.chip.name()).expect("a test compares the names");
-        let (transmit, receive) = match self.controller {
-            1 => ("9", "8"),
-            2 => ("13", "12"),
-            _ => ("4", "3"),
-        };
         vec![
             ("name", self.name.to_owned()),
             ("crate", self.name.replace('-', "_")),
             ("chip", chip.feature.to_owned()),
             ("CHIP", chip.feature.to_uppercase()),
             ("part", format!("{:?}", self.chip)),
-            ("can", format!("CAN{}", self.controller)),
             ("controller", self.controller.to_string()),
-            ("transmit", transmit.to_owned()),
-            ("receive", receive.to_owned()),
             ("probe-rs", chip.probe_rs.to_owned()),
             ("repository", self.git.map_or_else(|| self.path(""), str::to_owned)),
-            ("source emulator", self.dependency("emulator")),
-            ("source canopen-node", self.dependency("canopen-node")),
-            ("source stm32f4", self.dependency("stm32f4")),
-            ("source testkit", self.dependency("testkit")),
+            ("source chip-build", self.dependency("lab/chip-build")),
+            ("source emulator", self.dependency("lab/emulator")),
+            ("source canopen-node", self.dependency("libs/canopen-node")),
+            ("source stm32f4", self.dependency("boards/stm32f4")),
+            ("source testkit", self.dependency("lab/testkit")),
         ]
     }
 
@@ -176,11 +192,17 @@ mod tests {
     }
 
     #[test]
-    fn the_tasks_of_a_product_are_those_of_the_plain_firmware() {
-        let files = files(Part::Stm32f405, 1, None, Path::new("/products/door-lock"));
-        let tasks = |main: &str| main.split_once("#[shared]").map(|(_, rest)| rest.to_owned());
-        let firmware = fs::read_to_string(workspace().join("src/main.rs")).expect("main.rs");
-        assert_eq!(tasks(content(&files, "src/main.rs")), tasks(&firmware));
+    fn the_words_of_the_firmware_that_a_product_has_others_for_are_in_it() {
+        let folder = Path::new("/products/door-lock");
+        let product =
+            Product { name: "door-lock", chip: Part::Stm32f446, controller: 2, git: None, folder };
+        let read = |path| fs::read_to_string(workspace().join(path)).expect("a file");
+        let firmware: String = OF_FIRMWARE.into_iter().map(read).collect();
+        let files = product.files().expect("this repository has what a product needs");
+        for (ours, of_product) in product.exchanges() {
+            assert!(firmware.contains(ours), "{ours}");
+            assert!(files.iter().any(|(_, content)| content.contains(&of_product)), "{of_product}");
+        }
     }
 
     #[test]
@@ -197,7 +219,7 @@ mod tests {
         let manifest: Table = content(&files_beside, "Cargo.toml").parse().expect("TOML");
         let here = workspace().file_name().and_then(|name| name.to_str()).expect("UTF-8");
         let library = &manifest["dependencies"]["canopen-node"];
-        assert_eq!(library["path"].as_str(), Some(&*format!("../{here}/canopen-node")));
+        assert_eq!(library["path"].as_str(), Some(&*format!("../{here}/libs/canopen-node")));
         let feature = &manifest["features"]["stm32f446"];
         assert_eq!(feature[0].as_str(), Some("canopen-stm32f4/stm32f446"));
 

@@ -6,7 +6,7 @@ use canopen_node::{Application, Frame};
 use super::{
     frames::{Frames, bytes},
     node_rig::NodeRig,
-    sdo_messages::{download, expedited, initiate},
+    sdo_messages::{crc, download, expedited, initiate},
 };
 
 /// An SDO request to the node `node_id`: `text` is its bytes, padded with 0 to eight.
@@ -257,22 +257,4 @@ fn abort_code(answer: &[u8; 8], index: u16, sub_index: u8) -> u32 {
     let [0x80, a0, a1, a2, code @ ..] = *answer else { panic!("an abort, not {answer:02X?}") };
     assert_eq!([a0, a1, a2], [i0, i1, sub_index], "the object of the transfer");
     u32::from_le_bytes(code)
-}
-
-/// The CRC of block transfer, bit by bit (CiA 301, 7.2.4.3.16).
-pub fn crc(data: &[u8]) -> u16 {
-    let mut crc = 0;
-    for bit in data.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1)) {
-        let is_odd = (crc >> 15) as u8 ^ bit == 1;
-        crc = crc << 1 ^ if is_odd { 0x1021 } else { 0 };
-    }
-    crc
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn the_crc_of_the_digits_is_the_usual_check_value() {
-        assert_eq!(super::crc(b"123456789"), 0x31C3);
-    }
 }

@@ -1,7 +1,5 @@
 //! The messages of a client that transfers a value by SDO and does not wait for the answers.
 
-use crate::sdo::crc;
-
 /// Index and sub-index.
 pub type Address = (u16, u8);
 
@@ -68,4 +66,22 @@ pub fn segment(command: u8, data: &[u8]) -> [u8; 8] {
     let mut message = [command, 0, 0, 0, 0, 0, 0, 0];
     message[1..][..data.len()].copy_from_slice(data);
     message
+}
+
+/// The CRC of block transfer, bit by bit (CiA 301, 7.2.4.3.16).
+pub fn crc(data: &[u8]) -> u16 {
+    let mut crc = 0;
+    for bit in data.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1)) {
+        let is_odd = (crc >> 15) as u8 ^ bit == 1;
+        crc = crc << 1 ^ if is_odd { 0x1021 } else { 0 };
+    }
+    crc
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_crc_of_the_digits_is_the_usual_check_value() {
+        assert_eq!(super::crc(b"123456789"), 0x31C3);
+    }
 }

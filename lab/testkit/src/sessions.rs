@@ -2,21 +2,21 @@
 
 use std::panic::{self, AssertUnwindSafe};
 
-use canopen_node::{BitRate, BitRateSetting, Settings};
+use canopen_node::{BitRate, BitRateSetting};
 use emulator::{
     Time,
-    board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{Part, ResetCause},
-    image::Image,
+    chip::ResetCause,
 };
 use lss_master::Fastscan;
 
 use crate::{
-    boards, frames,
-    image_rig::{ImageRig, SETTINGS_OFFSET, bit_per_s, flash_with, settings},
+    boards::{Variant, serial_number},
+    frames,
+    image_rig::{ImageRig, settings},
     power_cut::image::Session as PowerCuts,
     random::Random,
+    wire::bit_per_s,
 };
 
 /// The time that a node may need to join the rig, or to change to another rate.
@@ -29,26 +29,6 @@ const RECOVERY: Time = Time::from_s(5);
 
 const OTHER_RATES: [BitRate; 4] =
     [BitRate::Kbit1000, BitRate::Kbit10, BitRate::Kbit800, BitRate::Kbit250];
-
-/// A board to be emulated: its chip and crystal, and the variant of its behaviour.
-#[derive(Clone, Copy)]
-pub struct Variant<'a> {
-    pub image: &'a Image,
-    pub part: Part,
-    pub settings: board::Settings,
-}
-
-impl Variant<'_> {
-    /// The board with this number, with the given settings stored or none.
-    pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
-        let settings = board::Settings { unique_id: boards::unique_id(number), ..self.settings };
-        let mut board = Board::new(self.part, self.image, settings);
-        if let Some(stored) = stored {
-            board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
-        }
-        board
-    }
-}
 
 /// A session; it panics at the first difference.
 pub type Session = fn(&Variant);
@@ -111,7 +91,7 @@ fn configure(variant: &Variant, boards: u8) {
     }
     for node_id in 1..=boards {
         let found = rig.carry_out(Fastscan::new()).expect("nobody is found");
-        let mut serial_numbers = (0..boards.into()).map(boards::serial_number);
+        let mut serial_numbers = (0..boards.into()).map(serial_number);
         assert!(serial_numbers.any(|serial| serial == found.serial_number), "{found:X?}");
         rig.ask(&format!("5E, 11 {node_id:02X}, 17"), "5E FF, 11 00, 17 00");
         rig.send("04 00");
@@ -195,8 +175,8 @@ fn rescue(variant: &Variant) {
         variant.board(rate as usize, Some(settings(rate.index(), rate).with_heartbeat_ms(1000)))
     });
     let mut rig = ImageRig::new(BitRate::Kbit500, boards);
-    rig.expect("704: 00", SEARCH);
-    rig.expect("704: 7F", SEARCH);
+    // A guest speaks only when it is spoken to.
+    rig.reach("604: 40 00 10 00 00 00 00 00", "704: 00", SEARCH);
 }
 
 /// The power fails in each flash operation of two stores; the next power-ons find the settings from before or after.

@@ -43,14 +43,23 @@ pub fn sealed(mut bytes: [u8; 32]) -> [u8; 32] {
     bytes
 }
 
+/// The place of a record in flash with program units of `W` bytes: it is begun and certain.
+pub fn place<const W: usize>(record: &[u8; 32]) -> Vec<u8> {
+    let unit = W.max(4);
+    let mut certain = record[24..].to_vec();
+    certain.resize(unit, 0xFF);
+    [&vec![0; unit], &record[..], &certain].concat()
+}
+
 /// A flash with these records, each at a bank and a number in the bank.
 pub fn flash_with<const W: usize, const E: usize>(
     records: &[(usize, usize, [u8; 32])],
 ) -> Flash<W, E> {
     let mut content = vec![0xFF; 2 * E];
     for (bank, number, record) in records {
-        let at = bank * E + number * 32;
-        content[at..at + 32].copy_from_slice(record);
+        let place = place::<W>(record);
+        let at = bank * E + number * place.len();
+        content[at..at + place.len()].copy_from_slice(&place);
     }
     Flash::with_content(content, 0)
 }

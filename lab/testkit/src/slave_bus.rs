@@ -11,7 +11,7 @@ use std::{
 
 use canopen_node::{
     BitRate, BusEvent, Frame,
-    lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
+    lss::{self, REQUEST_COB_ID, RESPONSE_COB_ID},
 };
 
 use crate::{node_rig::NodeRig, random::Random};
@@ -41,6 +41,12 @@ pub struct Habits {
     pub store_us: u64,
     /// The NMT state in its boot-up message; 0 is right.
     pub boot_up: u8,
+    /// The time to any frame but an LSS answer; empty: none.
+    pub other_us: Range<u64>,
+    /// Whether it answers each question of Fastscan and of identify remote slave.
+    pub claims_all: bool,
+    /// The bytes of its LSS answers; 8 are right.
+    pub answer_bytes: usize,
 }
 
 impl Default for Habits {
@@ -53,6 +59,9 @@ impl Default for Habits {
             again_us: 0,
             store_us: 1_000,
             boot_up: 0,
+            other_us: 0..0,
+            claims_all: false,
+            answer_bytes: 8,
         }
     }
 }
@@ -318,6 +327,13 @@ impl SlaveBus {
         {
             return;
         }
+        let is_question = matches!(frame.data().first(), Some(0x4B | 0x51));
+        if is_lss && slave.habits.claims_all && is_question {
+            let answer_us = self.random.within(slave.habits.answer_us.clone());
+            let answer = lss::Response::Identified.to_frame();
+            self.enqueue(now + answer_us, Source::Slave(number), answer);
+            return;
+        }
         if is_lss && slave.habits.poll_us > 0 {
             let next = (now / slave.habits.poll_us + 1) * slave.habits.poll_us;
             slave.held.get_or_insert((next, *frame));
@@ -360,7 +376,7 @@ impl SlaveBus {
     fn collect(&mut self, number: usize) {
         let now = self.now;
         let slave = &mut self.slaves[number];
-        let boot_up = slave.habits.boot_up;
+        let Habits { boot_up, answer_bytes, .. } = slave.habits;
         let sent: Vec<Frame> = slave
             .rig
             .take_actions()
@@ -368,6 +384,7 @@ impl SlaveBus {
             .filter_map(|action| match action {
                 canopen_node::Action::Transmit(frame) => match (frame.cob_id(), frame.data()) {
                     (0x701..=0x77F, [0]) => Frame::new(frame.cob_id(), &[boot_up]),
+                    (RESPONSE_COB_ID, data) => Frame::new(RESPONSE_COB_ID, &data[..answer_bytes]),
                     _ => Some(frame),
                 },
                 _ => None,
@@ -384,10 +401,12 @@ impl SlaveBus {
         let held = slave.held.map_or(NEVER, |(at, _)| at);
         slave.due = next.min(held).min(slave.stored_at);
         for frame in sent {
+            let habits = &self.slaves[number].habits;
             let answer_us = match frame.cob_id() {
-                RESPONSE_COB_ID => self.random.within(self.slaves[number].habits.answer_us.clone()),
-                _ => 0,
+                RESPONSE_COB_ID => habits.answer_us.clone(),
+                _ => habits.other_us.clone(),
             };
+            let answer_us = if answer_us.is_empty() { 0 } else { self.random.within(answer_us) };
             let slave = &mut self.slaves[number];
             slave.last_answer = slave.last_answer.max(now + answer_us);
             let (at, again_us) = (slave.last_answer, slave.habits.again_us);

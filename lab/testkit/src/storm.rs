@@ -1,13 +1,11 @@
 //! Storms: random frames of every kind, from valid requests to noise, and their permitted effects.
 
 mod example;
-mod firmware;
 pub mod image;
-pub mod node;
 
 use std::collections::VecDeque;
 
-use canopen_node::{Application, BitRate, lss};
+use canopen_node::{Application, BitRate, application::NoApplication, lss};
 use emulator::{
     Time,
     can::{Frame, Id},
@@ -64,6 +62,9 @@ pub trait Stormed: Application + Clone {
         frame
     }
 }
+
+/// The plain firmware has only what every node has: the random frames are enough.
+impl Stormed for NoApplication {}
 
 /// The next frame: of the script under way, or a random one.
 fn next<A: Stormed>(random: &mut Random, script: &mut VecDeque<Frame>, target: &Target) -> Frame {

@@ -70,3 +70,11 @@ pub fn guest() -> NodeRig {
     board.timeline();
     board
 }
+
+/// The same after its first answer, with which it has reported itself.
+pub fn asked_guest() -> NodeRig {
+    let mut board = guest();
+    board.sdo("40 00 10 00");
+    board.timeline();
+    board
+}

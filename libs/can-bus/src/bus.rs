@@ -1,7 +1,7 @@
 //! The master's view of the bus: requests with bounded waits, and everything that nodes send unasked.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -27,6 +27,9 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const SHORT: Duration = Duration::from_millis(60);
 /// An upper limit for the bits of a request and its answer.
 const EXCHANGE_BITS: u32 = 320;
+/// Command specifiers.
+const SWITCH_STATE_GLOBAL: u8 = 0x04;
+const INQUIRE_SERIAL_NUMBER: u8 = 0x5D;
 /// The longest wait between two looks at Ctrl-C.
 const SLICE: Duration = Duration::from_millis(50);
 /// The number of unasked frames that are kept.
@@ -42,13 +45,21 @@ pub struct Bus {
     holds_interrupt: bool,
     /// The other masters that end the run.
     minded: Masters,
+    /// The request of another master that waits.
+    other_master: Option<Frame>,
     pace: Pace,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
     /// The last NMT state that each node has reported by a heartbeat.
     pub states: BTreeMap<u8, u8>,
+    /// The node-IDs that boards have told by inquire node-ID, FFh for none.
+    pub inquired: BTreeSet<u8>,
     /// The time from the latest LSS request to its answer.
     pub last_answer: Option<Duration>,
+    /// The last LSS answer with fewer than 8 bytes, which are passed over.
+    pub short_answer: Option<Frame>,
+    /// The number of requests for a serial number since the last switch to LSS waiting state, and the answers to them.
+    serial_numbers: (usize, Vec<u32>),
     /// The master, which learns how fast the boards answer at this rate; `None` before its first procedure.
     master: Option<Master>,
     /// The beginning of the master's time.
@@ -62,6 +73,8 @@ pub enum Masters {
     All,
     /// Those of LSS: a running network may have an NMT master and SDO clients.
     Lss,
+    /// Those of LSS, as soon as a Ctrl-C would end it.
+    LssAsInterrupt,
     None,
 }
 
@@ -92,10 +105,14 @@ impl Bus {
             is_interrupted,
             holds_interrupt: false,
             minded: Masters::All,
+            other_master: None,
             pace: Pace::Patient,
             unasked: VecDeque::new(),
             states: BTreeMap::new(),
+            inquired: BTreeSet::new(),
             last_answer: None,
+            short_answer: None,
+            serial_numbers: (0, Vec::new()),
             master: None,
             start: adapter.now(),
             adapter,
@@ -152,6 +169,7 @@ impl Bus {
         self.is_interrupted.store(false, Ordering::Relaxed);
         self.holds_interrupt = false;
         self.minded = Masters::None;
+        self.other_master = None;
     }
 
     /// Minds only these masters from now on.
@@ -164,15 +182,17 @@ impl Bus {
         self.master = None;
     }
 
-    /// Lets a Ctrl-C wait, or no longer.
+    /// Lets a Ctrl-C wait, or no longer, and so what is minded as one.
     pub fn hold_interrupt(&mut self, holds: bool) {
         self.holds_interrupt = holds;
     }
 
     pub fn check_interrupt(&self) -> Result<(), Stop> {
-        match self.is_interrupted.load(Ordering::Relaxed) && !self.holds_interrupt {
-            true => Err(Stop::Interrupted),
-            false => Ok(()),
+        match (self.holds_interrupt, self.other_master) {
+            (true, _) => Ok(()),
+            (false, Some(frame)) => Err(Stop::OtherMaster(frame)),
+            (false, None) if self.is_interrupted.load(Ordering::Relaxed) => Err(Stop::Interrupted),
+            (false, None) => Ok(()),
         }
     }
 
@@ -315,12 +335,18 @@ impl Bus {
         let result = loop {
             let now = self.now();
             match session.poll(now) {
-                Output::Transmit(frame) => self.send(&frame)?,
+                Output::Transmit(frame) => {
+                    self.note_request(&frame);
+                    self.send(&frame)?;
+                }
                 Output::SetBitRate(rate) => self.open(rate)?,
                 Output::Wait(until) => {
                     let wait = Duration::from_micros(until.micros_after(now).into());
                     match self.wait_for(wait, |frame| frame.cob_id() == lss::RESPONSE_COB_ID)? {
-                        Some(answer) => session.handle_frame(&answer.frame, self.now()),
+                        Some(answer) => {
+                            self.note_answer(&answer.frame);
+                            session.handle_frame(&answer.frame, self.now());
+                        }
                         None => {
                             // The computer may have paused, and the adapter with it.
                             match self.pace {
@@ -331,6 +357,7 @@ impl Bus {
                                 }
                             }
                             for late in self.take_unasked() {
+                                self.note_answer(&late.frame);
                                 session.handle_frame(&late.frame, self.now());
                                 self.keep(late);
                             }
@@ -343,6 +370,30 @@ impl Bus {
         };
         self.master = Some(master);
         Ok(result)
+    }
+
+    /// The serial number that came more often than it was asked for: two boards have it, or one answers twice.
+    pub fn serial_number_twice(&self) -> Option<u32> {
+        let (requests, answers) = &self.serial_numbers;
+        let [first, .., last] = answers[..] else { return None };
+        (first == last && answers.len() > *requests).then_some(first)
+    }
+
+    fn note_request(&mut self, request: &Frame) {
+        match request.data().first() {
+            Some(&INQUIRE_SERIAL_NUMBER) => self.serial_numbers.0 += 1,
+            Some(&SWITCH_STATE_GLOBAL) => self.serial_numbers = (0, Vec::new()),
+            // The second answer may come after the next request.
+            _ => {}
+        }
+    }
+
+    fn note_answer(&mut self, answer: &Frame) {
+        if let &[INQUIRE_SERIAL_NUMBER, a, b, c, d, _, _, _] = answer.data()
+            && self.serial_numbers.0 > 0
+        {
+            self.serial_numbers.1.push(u32::from_le_bytes([a, b, c, d]));
+        }
     }
 
     fn forget_answers(&mut self) {
@@ -406,6 +457,13 @@ impl Bus {
         match (frame.cob_id(), frame.data()) {
             (0x701..=0x77F, &[state]) => {
                 self.states.insert((frame.cob_id() & 0x7F) as u8, state);
+            }
+            (lss::RESPONSE_COB_ID, data) if data.len() < 8 => self.short_answer = Some(*frame),
+            (lss::RESPONSE_COB_ID, &[0x5E, id, ..]) => {
+                self.inquired.insert(id);
+            }
+            (lss::REQUEST_COB_ID, _) if self.minded == Masters::LssAsInterrupt => {
+                self.other_master = Some(*frame);
             }
             (lss::REQUEST_COB_ID, _) if self.minded != Masters::None => {
                 return Err(Stop::OtherMaster(*frame));

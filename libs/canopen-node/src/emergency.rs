@@ -3,9 +3,7 @@
 
 mod configuration;
 
-use core::mem;
-
-use lss_slave::bit_rate::GUEST_ERROR_CODE;
+use core::{mem, ops::Range};
 
 use crate::{BitRate, Frame, Instant, NodeId};
 pub(crate) use configuration::Configuration;
@@ -47,17 +45,19 @@ const GENERIC: u8 = 1 << 0;
 /// Bit 4 of the error register 1001h: an error of communication.
 pub(crate) const COMMUNICATION: u8 = 1 << 4;
 
-// The queue has a place for each error, and messages leave in this order. The first places are those of process data and
-// of the application, which have error codes of their own.
-const REPORTS: usize = 8;
-const SETTINGS_LOST: usize = 8;
-const ERROR_PASSIVE: usize = 9;
-const BUS_OFF_RECOVERED: usize = 10;
-const OVERRUN: usize = 11;
-const AWAY_FROM_HOME_RATE: usize = 12;
+// The queue has a place for each error, and messages leave in this order.
+/// The places of process data and of the heartbeat consumer, as many as they have error codes.
+pub(crate) const PROCESS_DATA: Range<usize> = 0..5;
+/// The places of the application.
+pub(crate) const APPLICATION: Range<usize> = 5..13;
+const SETTINGS_LOST: usize = 13;
+const ERROR_PASSIVE: usize = 14;
+const BUS_OFF_RECOVERED: usize = 15;
+const OVERRUN: usize = 16;
+const AWAY_FROM_HOME_RATE: usize = 17;
 /// The place of the message with error code 0.
-const END: usize = 13;
-const PLACES: usize = 14;
+const END: usize = 18;
+const PLACES: usize = 19;
 
 /// The content of a message.
 #[derive(Clone, Copy, Debug)]
@@ -71,17 +71,25 @@ struct Message {
 impl Message {
     /// The one with error code 0.
     const NONE: Self = Self { code: 0, register: 0, information: [0; 5] };
+
+    /// The entry of the history 1003h; 0 without an error.
+    fn entry(&self) -> u32 {
+        let [i0, i1, ..] = self.information;
+        let information = u32::from(i0) << 16 | u32::from(i1) << 24;
+        if self.code == 0 { 0 } else { u32::from(self.code) | information }
+    }
 }
 
 /// A set of places, a bit for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Places(u16);
+struct Places(u32);
 
 impl Places {
     const NONE: Self = Self(0);
+    const ALL: Self = Self(u32::MAX);
 
     const fn of(at: usize) -> Self {
-        Self(1_u16.wrapping_shl(at as u32))
+        Self(1_u32.wrapping_shl(at as u32))
     }
 
     const fn and(self, others: Self) -> Self {
@@ -124,7 +132,7 @@ impl Fault {
                 let [u0, u1] = in_use.kbit_per_s().to_le_bytes();
                 let [h0, h1] = home.kbit_per_s().to_le_bytes();
                 information = [u0, u1, h0, h1, 0];
-                (GUEST_ERROR_CODE, GENERIC | COMMUNICATION)
+                (0xFF10, GENERIC | COMMUNICATION)
             }
         };
         Message { code, register, information }
@@ -156,6 +164,8 @@ pub(crate) struct Emergency {
     /// The message that was sent, while no frame of the node has been acknowledged since. The next one waits: on a bus
     /// that fails again and again they would take the places of answers.
     in_flight: Places,
+    /// Its entry of the history.
+    entry: u32,
     pub configuration: Configuration,
     /// The end of the inhibit time.
     inhibited_until: Option<Instant>,
@@ -173,6 +183,7 @@ impl Emergency {
             present: Places::NONE,
             unsent: Places::NONE,
             in_flight: Places::NONE,
+            entry: 0,
             configuration: Configuration::DEFAULT,
             inhibited_until: None,
             history: [0; HISTORY_LEN as usize],
@@ -207,26 +218,32 @@ impl Emergency {
     }
 
     /// Reports an error of process data or of the application, with bits of the error register and the manufacturer's
-    /// bytes. Without a free place the error is only kept in the history.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
-        let message = Message { code, register: register | GENERIC, information };
-        let free = || (0..REPORTS).find(|at| !self.used().has(*at));
-        match self.place_of(code).or_else(free) {
-            Some(at) => self.put(at, message),
-            None => self.enter(&message),
+    /// bytes; returns whether there was room for it among these places.
+    pub fn report(
+        &mut self,
+        places: Range<usize>,
+        code: u16,
+        register: u8,
+        information: [u8; 5],
+    ) -> bool {
+        let at = self.place_of(places.clone(), code);
+        let at = at.or_else(|| self.place_of(places, Message::NONE.code));
+        if let Some(at) = at {
+            self.put(at, Message { code, register: register | GENERIC, information });
         }
+        at.is_some()
     }
 
-    /// Ends an error that [`report`](Self::report) has reported; does nothing if it is not present.
-    pub fn end(&mut self, code: u16) {
-        if let Some(at) = self.place_of(code) {
+    /// Ends an error that [`report`](Self::report) has put among these places; does nothing if it is not present.
+    pub fn end(&mut self, places: Range<usize>, code: u16) {
+        if let Some(at) = self.place_of(places, code) {
             self.end_at(at);
         }
     }
 
-    /// Whether there are errors, or messages about them, that [`report`](Self::report) has reported.
-    pub const fn has_reports(&self) -> bool {
-        const EACH: u16 = (1 << REPORTS) - 1;
+    /// Whether there are errors of process data or of the heartbeat consumer, or messages about them.
+    pub const fn has_process_data_errors(&self) -> bool {
+        const EACH: u32 = (1 << PROCESS_DATA.end) - 1;
         self.used().0 & EACH != 0
     }
 
@@ -235,18 +252,13 @@ impl Emergency {
         self.present.and(self.unsent).and(self.in_flight)
     }
 
-    /// The place of a reported error.
-    fn place_of(&self, code: u16) -> Option<usize> {
-        let mut reports = self.messages.iter().take(REPORTS).enumerate();
-        let used = self.used();
-        reports.find(|(at, message)| used.has(*at) && message.code == code).map(|(at, _)| at)
+    /// The place among these with this error code; 0 is that of a free one.
+    fn place_of(&self, mut places: Range<usize>, code: u16) -> Option<usize> {
+        places.find(|at| self.messages.get(*at).is_some_and(|message| message.code == code))
     }
 
-    /// Makes an error present, and its message due. The history has one entry per message.
+    /// Makes an error present, and its message due.
     fn put(&mut self, at: usize, message: Message) {
-        if !self.unsent.has(at) {
-            self.enter(&message);
-        }
         if let Some(place) = self.messages.get_mut(at) {
             *place = message;
         }
@@ -259,9 +271,11 @@ impl Emergency {
             return;
         }
         self.present = self.present.without(Places::of(at));
-        self.unsent = self.unsent.and(Places::of(END));
-        if at == AWAY_FROM_HOME_RATE {
-            self.messages[END].information = self.messages[AWAY_FROM_HOME_RATE].information;
+        if self.present == Places::NONE {
+            let is_return_home = at == AWAY_FROM_HOME_RATE;
+            let ended = if is_return_home { self.messages[at] } else { Message::NONE };
+            self.messages[END].information = ended.information;
+            self.unsent = self.unsent.and(Places::of(END));
         }
         self.clear_unused(at);
     }
@@ -271,15 +285,6 @@ impl Emergency {
         let is_used = self.used().has(at);
         if let Some(place) = self.messages.get_mut(at).filter(|_| !is_used) {
             *place = Message::NONE;
-        }
-    }
-
-    /// Adds an error to the history 1003h.
-    fn enter(&mut self, message: &Message) {
-        let [i0, i1, ..] = message.information;
-        let mut newer = u32::from(message.code) | u32::from(i0) << 16 | u32::from(i1) << 24;
-        for place in &mut self.history {
-            newer = mem::replace(place, newer);
         }
     }
 
@@ -341,8 +346,13 @@ impl Emergency {
         self.in_flight.0 != 0
     }
 
-    /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames.
+    /// Records that a frame of the node was acknowledged. Emergency messages are sent before all periodic frames. The
+    /// history 1003h takes those that have left.
     pub fn note_acknowledge(&mut self) {
+        let mut newer = mem::take(&mut self.entry);
+        if newer != 0 {
+            self.history.iter_mut().for_each(|place| mem::swap(place, &mut newer));
+        }
         let acknowledged = self.in_flight.0.trailing_zeros() as usize;
         self.in_flight = Places::NONE;
         self.clear_unused(acknowledged);
@@ -351,13 +361,7 @@ impl Emergency {
     /// Records that the pending frames were dropped: a message that was not acknowledged is sent again.
     pub const fn note_dropped(&mut self) {
         self.unsent = self.unsent.and(self.in_flight);
-        self.in_flight = Places::NONE;
-    }
-
-    /// Drops the messages that have not been sent.
-    fn discard(&mut self) {
-        self.unsent = Places::NONE;
-        (0..PLACES).for_each(|at| self.clear_unused(at));
+        (self.in_flight, self.entry) = (Places::NONE, 0);
     }
 
     /// Ends the inhibit time, if it is over.
@@ -372,28 +376,25 @@ impl Emergency {
     }
 
     /// The next message, if there is one to send. While the node hears nothing but errors it sends none: a message
-    /// would disturb nodes that may run at another bit rate. Without a COB-ID the messages are dropped.
+    /// would disturb nodes that may run at another bit rate. Without a COB-ID the messages only enter the history.
     ///
     /// Error code 0 is sent when no error is left. CiA 301 allows it at the end of each error, but some masters take it
-    /// for the end of all.
-    pub fn next(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
+    /// for the end of all. A guest reports only that it is one.
+    pub fn next(&mut self, node: NodeId, is_guest: bool, now: Instant) -> Option<Frame> {
+        if self.awaits_acknowledge() {
+            return None;
+        }
         let Some(cob_id) = self.configuration.cob_id(node) else {
-            self.discard();
+            while self.take(Places::ALL).is_some() {
+                self.note_acknowledge();
+            }
             return None;
         };
-        if self.inhibited_until.is_some() || self.awaits_acknowledge() {
+        if self.inhibited_until.is_some() || self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
             return None;
         }
-        if self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
-            return None;
-        }
-        if self.present != Places::NONE {
-            self.unsent = self.unsent.without(Places::of(END));
-        }
-        let at = self.unsent.0.trailing_zeros() as usize;
-        let Message { code, register, information } = *self.messages.get(at)?;
-        self.unsent = self.unsent.without(Places::of(at));
-        self.in_flight = Places::of(at);
+        let among = if is_guest { Places::of(AWAY_FROM_HOME_RATE) } else { Places::ALL };
+        let Message { code, register, information } = self.take(among)?;
         let inhibit_time = self.configuration.inhibit_time;
         self.inhibited_until =
             (inhibit_time > 0).then(|| now.plus_micros(u32::from(inhibit_time) * 100));
@@ -401,5 +402,19 @@ impl Emergency {
         let [i0, i1, i2, i3, i4] = information;
         let data = [c0, c1, register | self.error_register(), i0, i1, i2, i3, i4];
         Some(Frame::with_eight_bytes(cob_id, data))
+    }
+
+    /// Takes the first message in one of these places out of the queue, if there is one;
+    /// [`note_acknowledge`](Self::note_acknowledge) completes it.
+    fn take(&mut self, among: Places) -> Option<Message> {
+        if self.present != Places::NONE {
+            self.unsent = self.unsent.without(Places::of(END));
+        }
+        let at = (self.unsent.0 & among.0).trailing_zeros() as usize;
+        let message = *self.messages.get(at)?;
+        self.unsent = self.unsent.without(Places::of(at));
+        self.in_flight = Places::of(at);
+        self.entry = message.entry();
+        Some(message)
     }
 }

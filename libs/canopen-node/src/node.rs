@@ -20,7 +20,7 @@ use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
     bit_rate::Control,
-    emergency::{Emergency, Fault},
+    emergency::{APPLICATION, Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command, slave::NmtSlave},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
@@ -208,6 +208,15 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.sdo.is_sending_block() || self.periodic.is_waiting()
     }
 
+    /// Records that a debugger has halted the program, and that the board has dropped all frames since. Ends an SDO
+    /// transfer; a boot-up or an emergency message that nobody acknowledged is sent again.
+    pub fn note_halt(&mut self) {
+        // A deadline may be more than half a turn of the clock ago.
+        self.agenda.add(Tasks::ALL);
+        self.end_sdo_transfer();
+        self.note_dropped();
+    }
+
     /// The LSS slave of the node.
     pub const fn lss(&self) -> &Slave {
         &self.lss
@@ -290,6 +299,10 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     fn admit(&mut self, frame: &Frame, now: Instant) -> bool {
         self.agenda.add(Tasks::of(&[Task::BitRate]));
         let is_served = self.bit_rate.handle_frame(frame, now);
+        if is_served && Some(frame.cob_id()) == self.sdo_request_cob_id() {
+            // A boot-up may precede the answer.
+            self.bit_rate.note_asked();
+        }
         is_served && (!self.bit_rate.is_switching() || frame.cob_id() != lss::REQUEST_COB_ID)
     }
 
@@ -310,8 +323,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         }
     }
 
-    /// Records a fault of the board, such as [`Fault::SettingsLost`], in the history 1003h and queues an emergency
-    /// message.
+    /// Queues an emergency message about a fault of the board, such as [`Fault::SettingsLost`].
     pub fn handle_fault(&mut self, fault: Fault) {
         self.emergency.report_fault(fault);
         self.agenda.add(Tasks::of(&[Task::Messages]));
@@ -339,22 +351,24 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error
     /// register 1001h (bit 0 is added) and the manufacturer's bytes. The error stays in the error register until
-    /// [`end_report`](Self::end_report), and in the history 1003h. An error that is reported again is sent again.
+    /// [`end_report`](Self::end_report); the message enters the history 1003h when it has left. An error that is reported
+    /// again is sent again.
     ///
-    /// Up to eight errors may be present at a time; a further one only enters the history. The error code 0 has no
-    /// effect.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
-        if code != 0 && Self::HAS_APPLICATION {
-            self.emergency.report(code, register, information);
-            self.agenda.add(Tasks::of(&[Task::Messages]));
+    /// Returns whether there was room: up to eight errors of the application may be present at a time. A further one, and
+    /// the error code 0, have no effect.
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
+        if code == 0 || !Self::HAS_APPLICATION {
+            return false;
         }
+        self.agenda.add(Tasks::of(&[Task::Messages]));
+        self.emergency.report(APPLICATION, code, register, information)
     }
 
     /// Ends an error of the application; does nothing if it is not present. A message with error code 0 follows when no
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
         if Self::HAS_APPLICATION {
-            self.emergency.end(code);
+            self.emergency.end(APPLICATION, code);
             self.agenda.add(Tasks::of(&[Task::Messages]));
         }
     }
@@ -503,6 +517,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Task::Producers => product.communication.late_at().filter(|_| !bit_rate.is_switching()),
             _ if !may_report => None,
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
+            _ if bit_rate.is_guest() => None,
             Task::Messages => {
                 let heartbeat = nmt.poll_at().and_then(|due| periodic.postpone(due, now));
                 Instant::earliest(heartbeat, emergency.inhibited_until())
@@ -562,7 +577,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             if Area::Verification.change(Some(download)) == Change::Remove {
                 verification.clear();
             }
-            verification.stage();
+            verification.stage(download.sub_index);
             let mut settings = match Area::Communication.is_concerned(download.sub_index) {
                 true => persistent.with_heartbeat_ms(heartbeat_ms),
                 false => persistent,

@@ -19,7 +19,7 @@ use core::mem;
 use crate::{
     Application, Frame, Instant, NodeId,
     application::Event,
-    emergency::{COMMUNICATION, Emergency},
+    emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
     object_dictionary::{Entry, Object},
     sdo::Abort,
@@ -240,7 +240,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
                 continue;
             }
             if let Some(code) = rpdo.check_length(pdo, frame) {
-                errors.report(code, COMMUNICATION, [number, 0, 0, 0, 0]);
+                errors.report(PROCESS_DATA, code, COMMUNICATION, [number, 0, 0, 0, 0]);
             }
             if rpdo.handle(pdo, frame, application, self.is_window_over, now) {
                 application.handle(Event::Received(number));
@@ -260,7 +260,8 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         let Ok(counter) = counter else {
             if !was_wrong {
                 let len = frame.data().len() as u8;
-                errors.report(sync::WRONG_LENGTH, COMMUNICATION, [len, 0, 0, 0, 0]);
+                let information = [len, 0, 0, 0, 0];
+                errors.report(PROCESS_DATA, sync::WRONG_LENGTH, COMMUNICATION, information);
             }
             return;
         };
@@ -291,7 +292,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             (sync::WRONG_LENGTH, self.is_sync_wrong),
         ] {
             if !is_present {
-                errors.end(code);
+                errors.end(PROCESS_DATA, code);
             }
         }
     }
@@ -300,7 +301,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     pub fn next_late(&mut self, errors: &mut Emergency, now: Instant) -> Option<u8> {
         let at = self.rpdos.iter_mut().position(|rpdo| rpdo.poll(now))?;
         let number = (at as u8).wrapping_add(1);
-        errors.report(rpdo::LATE, COMMUNICATION, [number, 0, 0, 0, 0]);
+        errors.report(PROCESS_DATA, rpdo::LATE, COMMUNICATION, [number, 0, 0, 0, 0]);
         Some(number)
     }
 

@@ -73,6 +73,9 @@ pub trait System {
     fn begin_store(&mut self) {}
 }
 
+/// The time without any event that tells of a debugger that had halted the core: the indicators have 20 steps a second.
+const HALT_MICROS: u32 = 500_000;
+
 /// The node with its controller and the rest of its board.
 #[derive(Debug)]
 pub struct Runner<
@@ -93,6 +96,8 @@ pub struct Runner<
     indicators: Indicators,
     /// The start of the indicators' next step.
     step_at: Instant,
+    /// The end of the latest event.
+    ended_at: Instant,
     /// The indicators' steps since the last [`supervise`](Self::supervise), for [`run_step`](Self::run_step).
     steps: u8,
     /// A store that has not begun.
@@ -126,6 +131,7 @@ impl<
             bus_state: BusState::Good,
             indicators: Indicators::default(),
             step_at,
+            ended_at: step_at,
             steps: 0,
             store: None,
         }
@@ -149,9 +155,10 @@ impl<
     }
 
     /// Reports an error of the application, as [`Node::report`] does.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) {
-        self.node.report(code, register, information);
+    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
+        let has_room = self.node.report(code, register, information);
         self.finish();
+        has_room
     }
 
     /// Ends an error of the application, as [`Node::end_report`] does.
@@ -168,6 +175,7 @@ impl<
 
     /// Handles received frames.
     pub fn handle_received(&mut self) {
+        self.note_event();
         while let Some(received) = self.bus.can.receive() {
             self.bus.has_heard = true;
             self.bus.sampler.note_frame();
@@ -196,20 +204,19 @@ impl<
 
     /// Handles frames that were sent or dropped.
     pub fn handle_transmitted(&mut self) {
+        self.note_event();
         let is_sent = self.bus.can.take_sent();
         // The others are less urgent, and wait until it is sent.
         self.queue.pop_if(|frame| self.bus.can.send(frame));
         if is_sent {
             self.node.handle_bus(BusEvent::Acknowledged, self.system.now());
-            if self.node.wants_to_send_more() && self.queue.is_empty() && self.bus.can.is_idle() {
-                self.node.handle_bus(BusEvent::NonePending, self.system.now());
-            }
-            self.finish();
         }
+        self.finish();
     }
 
     /// Handles an error on the bus, or a change of the controller's error state.
     pub fn handle_status(&mut self) {
+        self.note_event();
         let (transmit, receive) = self.bus.can.error_counters();
         let counters = BusEvent::ErrorCounters { transmit, receive };
         self.node.handle_bus(counters, self.system.now());
@@ -268,6 +275,7 @@ impl<
 
     /// Does what is due now; returns the indicators to light, at the start of each of their steps.
     pub fn handle_alarm(&mut self) -> Option<Lit> {
+        self.note_event();
         self.act_until_nothing_is_due();
         let now = self.system.now();
         if self.bus.sampler.is_due(now) {
@@ -288,6 +296,25 @@ impl<
         }
         self.finish();
         is_step.then(|| self.indicate())
+    }
+
+    #[inline(always)] // It is called for each event.
+    fn note_event(&mut self) {
+        let now = self.system.now();
+        if now.as_micros().wrapping_sub(self.ended_at.as_micros()) >= HALT_MICROS {
+            self.forget_halt(now);
+        }
+    }
+
+    /// After a halt of the core by a debugger, drops what was to be sent before it and what was received meanwhile: the
+    /// others no longer wait for it.
+    #[inline(never)] // It has four callers.
+    fn forget_halt(&mut self, now: Instant) {
+        log!(warn, "the core was halted: what came meanwhile is ignored");
+        (self.step_at, self.ended_at) = (now, now);
+        while self.bus.can.receive().is_some() {}
+        self.drop_frames(|_, _| true);
+        self.node.note_halt();
     }
 
     fn indicate(&mut self) -> Lit {
@@ -317,8 +344,13 @@ impl<
     /// Completes the handling of every event.
     #[inline(never)]
     fn finish(&mut self) {
+        // The last frame was sent, or dropped with others.
+        if self.node.wants_to_send_more() && self.queue.is_empty() && self.bus.can.is_idle() {
+            self.node.handle_bus(BusEvent::NonePending, self.system.now());
+        }
         self.act_until_nothing_is_due();
         self.system.set_alarm(self.alarm_at());
+        self.ended_at = self.system.now();
     }
 
     /// The time of the next [`handle_alarm`](Self::handle_alarm).

@@ -10,7 +10,7 @@ fn main() -> Result<(), Error> {
     let mut slaves = [0xA, 0xB].map(slave);
     let mut master = Master::new(Timing::default());
     let mut now = Instant::from_micros(0);
-    for node_id in 1.. {
+    for node_id in 1..=127 {
         let configure = Configure::node_id(NodeId::new(node_id));
         let mut session = master.start(Assign::scan(Fastscan::new(), configure));
         let found = loop {

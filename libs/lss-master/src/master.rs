@@ -134,7 +134,9 @@ impl Master {
 
     /// The time-out of a probe.
     fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
-        let Some(Seen { slowest, fastest, count, .. }) = *self.seen(service) else {
+        // A slow slave may have been silent for so long that it is forgotten.
+        let known = self.seen(service).filter(|_| doubt < GREATEST_DOUBT);
+        let Some(Seen { slowest, fastest, count, .. }) = known else {
             return self.timing.answer;
         };
         // Later requests may have more stuff bits.

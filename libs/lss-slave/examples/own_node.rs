@@ -78,7 +78,7 @@ impl Node {
 
     /// Does what is due.
     fn poll(&mut self, now: Instant) {
-        while let Some(next) = self.bit_rate.poll(now) {
+        while let Some(next) = self.bit_rate.poll(self.lss.state(), now) {
             match next {
                 bit_rate::Next::StopTransmitting => println!("  stops sending"),
                 bit_rate::Next::Activate { silent_until } => {

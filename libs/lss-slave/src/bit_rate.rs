@@ -13,9 +13,6 @@ pub use event::BusEvent;
 pub use supervision::Step;
 pub use timing::BitTiming;
 
-/// The error code of the emergency message by which a node tells that it has become a guest: FF10h.
-pub const GUEST_ERROR_CODE: u16 = 0xFF10;
-
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

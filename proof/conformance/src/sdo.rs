@@ -1,7 +1,7 @@
 //! SDO 01..30: the SDO server (CiA 301, 7.2.4), by raw messages.
 
 use testkit::{
-    sdo::crc,
+    sdo_messages::crc,
     sdo_messages::{initiate, segment},
 };
 

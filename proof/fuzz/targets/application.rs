@@ -139,7 +139,7 @@ fn step(board: &mut Board, [kind, ms, data @ ..]: [u8; 10]) {
         12 if data[0] == 0 => _ = board.end_store(Err(StoreError::MediumAccess)),
         12 => _ = board.finish_store(),
         13 => board.report(BusEvent::Acknowledged),
-        14 => board.node.report(u16::from(data[0]), data[1], [0; 5]),
+        14 => _ = board.node.report(u16::from(data[0]), data[1], [0; 5]),
         _ => _ = board.be_late_ms(u64::from(data[0]) * 250),
     }
     board.pass_us(0);

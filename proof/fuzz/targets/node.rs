@@ -1,4 +1,5 @@
-//! The node with frames, time and events in any order: its actions come to an end, and it is silent when it must be.
+//! The node with frames, time and events in any order: its actions come to an end, it is silent when it must be, and
+//! it stores only what a request asks for.
 
 #![no_main]
 
@@ -80,11 +81,14 @@ fuzz_target!(|data: (u8, u8, Vec<[u8; 10]>)| {
     let mut board = new_board(id, rate);
     let mut id = NodeId::new(id);
     for data in steps {
+        // A store also follows the end of another.
+        let may_store = matches!(data[0] & 0xF, 1..=10);
         step(&mut board, data);
         for action in board.take_actions() {
             match action {
                 Action::Transmit(frame) => assert!(is_own(&frame, id), "{frame:?} of {id:?}"),
                 Action::SetNodeId(new) => id = new,
+                Action::Store(_) => assert!(may_store, "{data:02X?} asks for no store"),
                 Action::DropPdos => panic!("the node has no process data"),
                 Action::ResetDevice => return,
                 _ => {}

@@ -17,7 +17,6 @@ use crate::{
     board::{self, Board},
     bus::Bus,
     person::Person,
-    probe::Probe,
     report::Report,
     sdo::{self, Outcome},
     stop::Stop,
@@ -40,7 +39,6 @@ pub struct Bench {
     pub bus: Bus,
     pub report: Report,
     pub person: Person,
-    pub probe: Option<Probe>,
     pub is_quick: bool,
     /// The boards; empty until their stored settings are known.
     pub boards: Vec<Board>,

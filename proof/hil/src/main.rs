@@ -4,8 +4,6 @@ mod bench;
 mod board;
 mod conformance;
 mod diagnosis;
-mod probe;
-mod registers;
 mod report;
 mod sessions;
 
@@ -25,14 +23,12 @@ use clap::{Parser, builder::PossibleValuesParser};
 
 use can_bus::{adapter, bus, person, sdo, stop};
 use canopen_node::{BitRate, NodeId};
-use canopen_stm32f4::chip;
 
 use adapter::Place;
 use bench::Bench;
 use bus::Bus;
 use conformance::{Identity, Subject};
 use person::Person;
-use probe::Probe;
 use report::Report;
 use stop::Stop;
 
@@ -59,12 +55,6 @@ struct Arguments {
     /// Write the report to FILE.txt, FILE.json and FILE.html
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Read registers and reset the first board with probe-rs; its chip
-    #[arg(long, value_name = "CHIP", value_parser = PossibleValuesParser::new(Probe::chips()))]
-    probe: Option<String>,
-    /// The CAN controller of the first board, whose registers the probe reads: can1 or can2
-    #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "probe")]
-    controller: u8,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself
     /// reports
     #[arg(long, value_name = "MS", default_value_t = 2)]
@@ -75,7 +65,7 @@ struct Arguments {
     /// Run the cases of a conformance test of CANopen in place of the sessions, on any device with this data sheet:
     /// docs/conformance-cases.md. Its stored parameters become the defaults. With `lss` in place of the data sheet: the
     /// cases of LSS, on any LSS slave
-    #[arg(long, value_name = "EDS", conflicts_with_all = ["quick", "session", "probe"])]
+    #[arg(long, value_name = "EDS", conflicts_with_all = ["quick", "session"])]
     conformance: Option<Subject>,
     #[command(flatten)]
     identity: Identity,
@@ -122,8 +112,6 @@ fn main() -> ExitCode {
 
 /// Runs the sessions and reports; returns whether nothing failed.
 fn run(arguments: &Arguments) -> anyhow::Result<bool> {
-    let chip = arguments.probe.as_deref();
-    let probe = chip.map(|chip| Probe::new(chip, arguments.controller)).transpose()?;
     if let Some(path) = &arguments.report {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         ensure!(
@@ -175,7 +163,6 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 bus,
                 report,
                 person,
-                probe,
                 is_quick: arguments.quick,
                 boards: Vec::new(),
                 addresses: Vec::new(),

@@ -6,7 +6,6 @@ mod hands;
 mod identity;
 mod node;
 mod rates;
-mod registers;
 mod search;
 mod services;
 mod switch;
@@ -24,8 +23,7 @@ pub struct Session {
 }
 
 /// All sessions but the first, which finds the boards.
-pub const ALL: [Session; 13] = [
-    Session { name: "registers", title: "registers", run: registers::run },
+pub const ALL: [Session; 12] = [
     Session { name: "services", title: "LSS services", run: services::run },
     Session { name: "answers", title: "answer times", run: timing::answers },
     Session { name: "bursts", title: "requests without a pause", run: timing::bursts },

@@ -7,10 +7,7 @@ use std::time::Instant;
 use anyhow::ensure;
 use emulator::{board, chip::Part};
 
-use testkit::{
-    parallel,
-    sessions::{self, Variant},
-};
+use testkit::{boards::Variant, parallel, sessions};
 
 /// Run the image's sessions on each variant of the chip that the manuals allow
 ///

@@ -31,7 +31,7 @@ pub struct Arguments {
 /// Runs the program of `commission` that measures, since nothing else here needs its dependencies.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut command = cargo();
-    command.args(["run", "--quiet", "--package", "commission", "--example", "figures", "--"]);
+    command.args(["run", "--quiet", "--package", "lss", "--example", "figures", "--"]);
     if arguments.quick {
         command.arg("--quick");
     }

@@ -25,7 +25,7 @@ use emulator::{
 use testkit::{
     boards,
     cargo::workspace,
-    image_rig::{bit_per_s, from_the_wire, on_the_wire},
+    wire::{bit_per_s, from_the_wire, on_the_wire},
 };
 use xtask::example::{self, Example};
 
@@ -141,22 +141,13 @@ impl ImageName {
             Self::Thermo => "eds/thermo.eds",
         }
     }
-
-    /// The CAN controller on the bus and the crystal in MHz, as in the product's `pins.rs` and `device.rs`.
-    const fn board(self) -> (u8, u8) {
-        match self {
-            Self::Default | Self::Io => (1, 8),
-            Self::Thermo => (2, 12),
-        }
-    }
 }
 
 /// A program, its board and its data sheet.
 struct Product {
     name: String,
     chip: Part,
-    controller: u8,
-    crystal_mhz: u8,
+    board: board::Settings,
     image: Image,
     eds: Eds,
 }
@@ -195,9 +186,11 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let chip = arguments.chip.unwrap_or(Part::Stm32f405);
         let name = elf.file_name().unwrap_or_default().to_string_lossy();
         let name = format!("{name} on {}", chip.name());
-        let (controller, crystal_mhz) = (arguments.controller, arguments.crystal);
+        let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
+        let controller = arguments.controller.into();
+        let board = board::Settings { crystal, controller, ..Default::default() };
         let (image, eds) = (Image::load(elf)?, read(eds)?);
-        return Ok(vec![Product { name, chip, controller, crystal_mhz, image, eds }]);
+        return Ok(vec![Product { name, chip, board, image, eds }]);
     }
     let images: Vec<(ImageName, Option<Part>)> = match &arguments.image[..] {
         _ if arguments.chips => Part::F4.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
@@ -209,8 +202,8 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let image = example::image(chip, product.example())?;
         let eds = read(&workspace().join(product.eds()))?;
         let name = format!("{} on {}", product.eds().trim_start_matches("eds/"), chip.name());
-        let (controller, crystal_mhz) = product.board();
-        Ok(Product { name, chip, controller, crystal_mhz, image, eds })
+        let board = example::board(product.example());
+        Ok(Product { name, chip, board, image, eds })
     };
     images.into_iter().map(product).collect()
 }
@@ -277,13 +270,11 @@ struct Bus {
 impl Bus {
     /// The boards, each with a stored node-ID, after their start.
     fn new(product: &Product, boards: usize) -> Self {
-        let crystal = Clock { hz: u32::from(product.crystal_mhz) * 1_000_000, ppm: 0 };
-        let controller = product.controller.into();
         let mut network = Network::new();
         network.record(Recording::Off);
         let adapter = network.add_adapter(Adapter::new(bit_per_s(BIT_RATE)));
         for (unique_id, node) in UNIQUE_IDS.into_iter().take(boards).zip(NODE..) {
-            let settings = board::Settings { crystal, controller, unique_id, ..Default::default() };
+            let settings = board::Settings { unique_id, ..product.board };
             let mut board = Board::new(product.chip, &product.image, settings);
             let mut flash = board.flash();
             let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(node));

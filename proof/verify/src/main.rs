@@ -4,7 +4,6 @@ mod bench;
 mod chip_variants;
 mod commission;
 mod conformance;
-mod coverage;
 mod figures;
 mod fuzz;
 #[cfg(target_os = "linux")]
@@ -12,7 +11,6 @@ mod linux;
 mod no_harm;
 mod power_cut;
 mod qemu;
-mod soak;
 mod storm;
 
 use std::process::ExitCode;
@@ -37,7 +35,6 @@ enum Command {
     ChipVariants(chip_variants::Arguments),
     Commission(commission::Arguments),
     Conformance(conformance::Arguments),
-    Coverage(coverage::Arguments),
     Figures(figures::Arguments),
     Fuzz(fuzz::Arguments),
     #[cfg(target_os = "linux")]
@@ -45,7 +42,6 @@ enum Command {
     NoHarm(no_harm::Arguments),
     PowerCut(power_cut::Arguments),
     Qemu(qemu::Arguments),
-    Soak(soak::Arguments),
     Storm(storm::Arguments),
 }
 
@@ -55,7 +51,6 @@ fn main() -> ExitCode {
         Command::ChipVariants(arguments) => chip_variants::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
         Command::Conformance(arguments) => conformance::run(&arguments),
-        Command::Coverage(arguments) => coverage::run(&arguments),
         Command::Figures(_) => figures::run(),
         Command::Fuzz(arguments) => fuzz::run(&arguments),
         #[cfg(target_os = "linux")]
@@ -63,7 +58,6 @@ fn main() -> ExitCode {
         Command::NoHarm(arguments) => no_harm::run(&arguments),
         Command::PowerCut(arguments) => power_cut::run(&arguments),
         Command::Qemu(_) => qemu::run(),
-        Command::Soak(arguments) => soak::run(&arguments),
         Command::Storm(arguments) => storm::run(&arguments),
     })
 }

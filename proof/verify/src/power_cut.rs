@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, time::Instant};
 
 use anyhow::Context;
 use emulator::{board, chip::Part};
-use testkit::{power_cut::image::Session, random::Random, sessions::Variant};
+use testkit::{boards::Variant, power_cut::image::Session, random::Random};
 
 /// Erase cycles guaranteed by the data sheet for a sector (STM32F405, table "flash memory endurance").
 const ENDURANCE: u64 = 10_000;
@@ -23,9 +23,9 @@ const QUICK: usize = 12;
 /// In the library: every history of four power-ons (--long: six) with up to three stores each. The power fails in any
 /// one or two of the program and erase steps; an interrupted program step leaves any of its bits, an interrupted erase
 /// anything. The same for stores of parameters, in turn with stores of settings, in three power-ons (--long: four).
-/// Both also for flash that is programmed in units of 1, 2, 8, 16 and 32 bytes, with a power-on less. Units of 8 bytes
-/// and more have an error-correcting code: where they are torn they read differently each time, or as an error. With
-/// each unit also in sectors of 2 KB and 16 KB: the power fails in each step while the log moves, and again soon after.
+/// Both also for flash that is programmed in units of 1, 2, 8, 16 and 32 bytes, with a power-on less. A torn unit reads
+/// differently each time, or as an error. With each unit also in sectors of 2 KB and 16 KB: the power fails in each step
+/// while the log moves, and again soon after.
 ///
 /// In the release image on an emulated board: two commissionings by LSS, from a blank flash, from one with a half that
 /// is nearly full, and from one with a half that has to be erased; with the example `io`, two stores of parameters by

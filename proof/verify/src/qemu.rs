@@ -19,7 +19,8 @@ use testkit::{
     cargo::{TARGET, cargo, target_directory},
     explain::explain,
     frames::of_master,
-    image_rig::{DEFAULT_BIT_RATE, bit_per_s, on_the_wire},
+    image_rig::DEFAULT_BIT_RATE,
+    wire::{bit_per_s, on_the_wire},
 };
 
 use xtask::tool;

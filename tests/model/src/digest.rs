@@ -23,7 +23,8 @@ const WITHOUT_EFFECT: [(&str, char); 6] = [
     ("since: ", ','),
 ];
 /// What has an effect only away from home: leaving home sets it anew.
-const AWAY: [&str; 5] = [" errors: ", "found: ", "has_moved: ", "visit_at: ", "visit_seconds: "];
+const AWAY: [&str; 6] =
+    [" errors: ", "found: ", "has_moved: ", "heard_at: ", "is_in_session: ", "is_asked: "];
 /// More errors than this in succession have no other effect on the supervision.
 const MANY_ERRORS: u32 = 2;
 

@@ -54,6 +54,21 @@ pub fn node_id(text: &str) -> Result<NodeId, String> {
     text.parse().ok().and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
 }
 
+/// A board that is named by its node-ID or by its LSS address.
+#[derive(Clone, Copy, Debug)]
+pub enum Which {
+    Node(NodeId),
+    Address(Address),
+}
+
+/// A node-ID, or an LSS address.
+pub fn which(text: &str) -> Result<Which, String> {
+    match text.contains(':') {
+        true => address(text).map(Which::Address),
+        false => node_id(text).map(Which::Node),
+    }
+}
+
 /// The node-ID that a board is to have, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Assigned(pub Option<NodeId>);

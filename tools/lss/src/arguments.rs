@@ -7,7 +7,7 @@ use canopen_node::{BitRate, NodeId, lss::Address};
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
 
-use crate::address::{self, Assigned};
+use crate::address::{self, Assigned, Which};
 
 /// Commission a CANopen network: LSS (CiA 305) through a CAN adapter
 ///
@@ -104,6 +104,13 @@ pub enum Command {
     },
     /// Ask a board for its LSS address and its node-ID
     Inquire(Target),
+    /// Show which board it is: keeps it in LSS configuration state, in which its LEDs flicker (CiA 303-3), until you press
+    /// Enter; without a terminal for 10 s
+    Blink {
+        /// The node-ID of the board, or its LSS address
+        #[arg(value_name = "ID|V:P:R:S", value_parser = address::which)]
+        which: Which,
+    },
     /// Ask whether a board with an LSS address within ranges is there; changes no state
     Identify(Ranges),
     /// Give a board a node-ID
@@ -158,6 +165,9 @@ pub struct Assign {
     /// each
     #[arg(long, requires = "table")]
     pub yes: bool,
+    /// Wait for boards that you plug in one after the other, and say which node-ID each of them has got
+    #[arg(long, conflicts_with = "yes")]
+    pub one_at_a_time: bool,
     /// In the end, wait until somebody has switched the power off and on, and check that every board comes back
     #[arg(long)]
     pub power_check: bool,

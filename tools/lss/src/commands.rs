@@ -2,6 +2,7 @@
 
 mod apply;
 mod assign;
+mod blink;
 mod find;
 mod identify;
 mod inquire;
@@ -16,9 +17,10 @@ mod watch;
 
 pub use apply::apply;
 pub use assign::assign;
+pub use blink::blink;
 pub use find::find;
 pub use identify::identify;
-pub use inquire::inquire;
+pub use inquire::{id_text, inquire};
 pub use list::{Row, list, state};
 pub use raw::raw;
 pub use set_id::set_id;

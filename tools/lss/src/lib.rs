@@ -4,6 +4,7 @@ mod address;
 mod arguments;
 mod commands;
 mod failure;
+mod give;
 mod live;
 mod picture;
 mod progress;

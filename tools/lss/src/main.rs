@@ -13,7 +13,7 @@ use std::{
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
 use can_bus::{bus::Bus, person::Person, stop::Stop};
-use commission::{Arguments, Command, Failure, Recorder, Screen, Session};
+use lss::{Arguments, Command, Failure, Recorder, Screen, Session};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();

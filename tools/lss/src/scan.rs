@@ -10,7 +10,7 @@ use canopen_node::{
     Frame, NodeId,
     lss::{Address, AddressPart, FastscanStep, Request},
 };
-use lss_master::{Outcome, Procedure, Step};
+use lss_master::{Outcome, Procedure, SelectAlone, Step};
 
 use crate::{failure::Failure, session::Session};
 
@@ -22,20 +22,32 @@ const EXCHANGE_BITS: u32 = 320;
 const BEGIN: u8 = 0x80;
 /// How often a Fastscan is repeated that contradicts itself.
 const RETRIES: u8 = 3;
+/// The most boards that a network has.
+const MOST: usize = 127;
+/// How often a node that seems to be two is asked again.
+const DOUBTS: usize = 4;
 
 /// The time between two looks for answers.
 const SLICE: Duration = Duration::from_millis(2);
+/// The pause between frames for slaves that look for one each 10 ms.
+const GAP: Duration = Duration::from_millis(12);
 /// How often nodes that do not answer are asked: a frame may be lost.
 const ROUNDS: usize = 2;
 
-/// The nodes that answer, by node-ID: the different serial numbers; 0 for a node that refuses to tell its own.
-pub fn nodes(session: &mut Session<'_>) -> Result<BTreeMap<u8, Vec<u32>>, Failure> {
+/// The nodes that answer, by node-ID: the different serial numbers; 0 for a node that refuses to tell its own. If
+/// there is only one, and two boards with it answer, it is there twice.
+pub type Nodes = BTreeMap<u8, Vec<u32>>;
+
+/// The nodes that answer.
+pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
     session.bus.take_unasked();
     let mut answers = Vec::new();
+    let mut asked = Vec::new();
     for round in 0..ROUNDS {
         let is_silent = |id: &u8| answers.iter().all(|(other, _)| other != id);
         let silent: Vec<u8> = (1..=127).filter(is_silent).collect();
         ask_identity(session, &silent, SERIAL_NUMBER)?;
+        asked.extend(silent);
         if round + 1 == ROUNDS {
             session.bus.flush()?;
             let wait = session.bus.short();
@@ -43,14 +55,42 @@ pub fn nodes(session: &mut Session<'_>) -> Result<BTreeMap<u8, Vec<u32>>, Failur
         }
         answers.extend(identities(session, SERIAL_NUMBER));
     }
-    let mut nodes: BTreeMap<u8, Vec<u32>> = BTreeMap::new();
-    for (id, number) in answers {
-        let numbers = nodes.entry(id).or_default();
-        if !numbers.contains(&number) {
-            numbers.push(number);
+    let mut nodes = Nodes::new();
+    for (id, number) in &answers {
+        let numbers = nodes.entry(*id).or_default();
+        if !numbers.contains(number) {
+            numbers.push(*number);
+        }
+    }
+    for (id, numbers) in &mut nodes {
+        let count = answers.iter().filter(|(other, _)| other == id).count();
+        let questions = asked.iter().filter(|other| *other == id).count();
+        if let ([number], true) = (&numbers[..], count > questions)
+            && are_two(session, *id)?
+        {
+            numbers.push(*number);
         }
     }
     Ok(nodes)
+}
+
+/// Whether two boards with one LSS address have this node-ID. Answers at the same moment are one frame, so it is asked
+/// several times.
+fn are_two(session: &mut Session<'_>, id: u8) -> Result<bool, Failure> {
+    for _ in 0..DOUBTS {
+        if answers_of(session, id, SERIAL_NUMBER)?.len() > 1 {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// The words for boards that LSS cannot tell apart.
+pub fn two(address: &str, id: u8) -> String {
+    format!(
+        "2 boards have the LSS address {address}, and both are node {id}. LSS cannot tell them apart: take one off the \
+         bus, and let its manufacturer give it another serial number"
+    )
 }
 
 /// Asks these nodes for a part of object 1018h, one after the other without a pause for the answers.
@@ -78,7 +118,7 @@ fn identities(session: &mut Session<'_>, sub_index: u8) -> Vec<(u8, u32)> {
 pub fn known(
     session: &mut Session<'_>,
     entries: &[(NodeId, Address)],
-    nodes: &BTreeMap<u8, Vec<u32>>,
+    nodes: &Nodes,
 ) -> Result<BTreeSet<u8>, Failure> {
     let serial_number = |(id, address): &(NodeId, Address)| {
         // A node that does not tell its serial number is asked by LSS.
@@ -106,18 +146,84 @@ pub fn known(
     Ok(known)
 }
 
-/// The different serial numbers that nodes with this node-ID tell, as in [`nodes`]. Other frames stay unasked.
+/// The search for boards by their LSS addresses, of which many may be missing.
+#[derive(Default)]
+pub struct Search {
+    /// A board was asked with patience, and is missing.
+    is_anyone_missing: bool,
+    /// Nobody takes part in the bus.
+    is_deserted: bool,
+}
+
+impl Search {
+    /// Brings the board with this LSS address to LSS configuration state, and all others to LSS waiting state; false if
+    /// it is missing. The first one that is missing costs the patience of the master, and each other one a glance.
+    pub fn select(&mut self, session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+        if self.is_deserted || self.is_anyone_missing && !is_heard(session, address)? {
+            return Ok(false);
+        }
+        match session.carry_out(SelectAlone::new(address)) {
+            Ok(()) => Ok(true),
+            Err(Failure::NoAnswer(_)) => {
+                self.is_anyone_missing = true;
+                self.is_deserted = is_deserted(session, address)?;
+                Ok(false)
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+}
+
+/// Whether nobody has sent anything so far, and nobody acknowledges a selection, as the adapter reports.
+fn is_deserted(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+    if !session.bus.states.is_empty() || session.bus.slowest_answer().is_some() {
+        return Ok(false);
+    }
+    session.bus.status()?;
+    let is_heard = is_heard(session, address)?;
+    let status = session.bus.status()?;
+    Ok(!is_heard && status.is_some_and(|status| status.has_errors || status.is_error_passive))
+}
+
+/// Whether a board answers to its selection soon, at once or after one with pauses, which some slaves need.
+fn is_heard(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+    let Address { vendor_id, product_code, revision_number, serial_number } = address;
+    for gap in [Duration::ZERO, GAP] {
+        for request in [
+            Request::SwitchToWaiting,
+            Request::Select(AddressPart::VendorId, vendor_id),
+            Request::Select(AddressPart::ProductCode, product_code),
+            Request::Select(AddressPart::RevisionNumber, revision_number),
+        ] {
+            session.bus.request(request)?;
+            session.bus.pass(gap)?;
+        }
+        let last = Request::Select(AddressPart::SerialNumber, serial_number);
+        if session.bus.probe(last)?.is_some() {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// The different serial numbers that nodes with this node-ID tell. Other frames stay unasked.
 pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Failure> {
-    session.bus.send_to(0x600 + u16::from(id), &sdo::read_request(0x1018, SERIAL_NUMBER))?;
+    let mut numbers = answers_of(session, id, SERIAL_NUMBER)?;
+    numbers.sort_unstable();
+    numbers.dedup();
+    Ok(numbers)
+}
+
+/// The number in each answer for a part of object 1018h of nodes with this node-ID.
+pub fn answers_of(session: &mut Session<'_>, id: u8, sub_index: u8) -> Result<Vec<u32>, Failure> {
+    session.bus.send_to(0x600 + u16::from(id), &sdo::read_request(0x1018, sub_index))?;
     let cob_id = 0x580 + u16::from(id);
     let is_answer =
-        |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame, SERIAL_NUMBER).is_some();
+        |frame: &Frame| frame.cob_id() == cob_id && sdo_answer(frame, sub_index).is_some();
     let mut numbers = Vec::new();
     let wait = session.bus.short();
     while let Some(answer) = session.bus.wait_for(wait, is_answer)? {
-        numbers.extend(
-            sdo_answer(&answer.frame, SERIAL_NUMBER).filter(|number| !numbers.contains(number)),
-        );
+        numbers.extend(sdo_answer(&answer.frame, sub_index));
     }
     Ok(numbers)
 }
@@ -179,7 +285,8 @@ pub fn blank(session: &mut Session<'_>) -> Result<Vec<Address>, Failure> {
         contradictions += u8::from(!is_consistent || found.len() <= before);
     }
     Err(Failure::Refused(
-        "the answers to Fastscan contradict each other: too many are lost or too late (--latency)"
+        "the answers to Fastscan contradict each other: too many are lost or too late (--latency), or two boards have \
+         one LSS address"
             .into(),
     ))
 }
@@ -234,6 +341,7 @@ fn scan(
     }
     let mut numbers = Vec::new();
     branch(session, part, 0, 31, found.len(), &mut numbers)?;
+    // Each of them leads to a board, or the scan ends.
     for number in &numbers {
         known[part as usize] = *number;
         match AddressPart::new(part as u8 + 1) {
@@ -261,10 +369,24 @@ fn branch(
         }
         match bit.checked_sub(1) {
             Some(bit) => branch(session, part, number, bit, known, numbers)?,
-            None => numbers.push(number),
+            None => {
+                numbers.push(number);
+                check_count(known + numbers.len(), "Fastscan")?;
+            }
         }
     }
     Ok(())
+}
+
+/// More boards than a network has are a contradiction: a search for them would not end.
+pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
+    match count > MOST {
+        true => Err(Failure::Refused(format!(
+            "more than {MOST} boards answer to {service}: a device answers each question. Take boards off the bus until \
+             the search ends"
+        ))),
+        false => Ok(()),
+    }
 }
 
 fn begin(session: &mut Session<'_>) -> Result<bool, Failure> {

@@ -18,6 +18,7 @@ use crate::{
     arguments::{Arguments, Command},
     commands,
     failure::Failure,
+    give,
     picture::{self, Caption},
     progress::Progress,
     recorder::Record,
@@ -30,7 +31,7 @@ pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
 const SLOW: Duration = Duration::from_millis(50);
 
 /// The time between two looks at what the person writes.
-const GLANCE: Duration = Duration::from_millis(50);
+pub const GLANCE: Duration = Duration::from_millis(50);
 
 /// The width and the height of the terminal in characters.
 pub type Screen = fn() -> (u16, u16);
@@ -47,6 +48,8 @@ pub struct Session<'a> {
     pub all_wait: bool,
     /// The answer time of a slow slave that the person was told of.
     pub slow_answer: Option<Duration>,
+    /// The serial numbers that the person was told to be there twice.
+    pub twice: Vec<u32>,
     /// What the adapter did, for a picture.
     pub record: Option<Record>,
 }
@@ -63,6 +66,7 @@ impl<'a> Session<'a> {
             screen: None,
             all_wait: false,
             slow_answer: None,
+            twice: Vec::new(),
             record: None,
         }
     }
@@ -105,7 +109,11 @@ impl<'a> Session<'a> {
         }
         self.bus.leave();
         self.out.flush()?;
-        outcome
+        match (self.bus.short_answer, &arguments.command) {
+            // It prints each answer.
+            (_, Command::Raw { .. }) | (None, _) => outcome,
+            (Some(answer), _) => short_answer(outcome, answer.data().len()),
+        }
     }
 
     fn carry(&mut self, arguments: &Arguments) -> Result<(), Failure> {
@@ -117,6 +125,11 @@ impl<'a> Session<'a> {
             return commands::apply(self, arguments.bit_rate, arguments_of_it);
         }
         self.bus.open(rate)?;
+        match arguments.command {
+            // These let boards store, send what the user asks for, or do it themselves.
+            Command::Store(_) | Command::Raw { .. } | Command::Assign(_) => {}
+            _ => give::end_earlier_run(self)?,
+        }
         match &arguments.command {
             Command::Find { .. } | Command::Apply(_) | Command::Completion { .. } => Ok(()),
             Command::List { watch: true, .. } => commands::watch(self),
@@ -124,6 +137,7 @@ impl<'a> Session<'a> {
             Command::Assign(assign) => commands::assign(self, assign),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
             Command::Inquire(target) => commands::inquire(self, *target),
+            Command::Blink { which } => commands::blink(self, *which),
             Command::Identify(ranges) => commands::identify(self, ranges),
             Command::SetId { id, target, store, reset } => {
                 commands::set_id(self, *id, *target, *store, *reset)
@@ -149,6 +163,18 @@ impl<'a> Session<'a> {
         })
     }
 
+    /// Lets a Ctrl-C wait until the work is done.
+    pub fn uninterrupted<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        self.bus.check_interrupt()?;
+        self.bus.hold_interrupt(true);
+        let outcome = work(self);
+        self.bus.hold_interrupt(false);
+        outcome
+    }
+
     /// Brings all boards to LSS waiting state, also after Ctrl-C, as far as the adapter still works.
     pub fn end(&mut self) {
         self.bus.insist();
@@ -158,6 +184,15 @@ impl<'a> Session<'a> {
     /// Carries out a procedure of the LSS master.
     pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, Failure> {
         let outcome = self.bus.carry_out(procedure)?;
+        if let Some(number) = self.bus.serial_number_twice()
+            && !self.twice.contains(&number)
+        {
+            self.twice.push(number);
+            self.progress.note(&format!(
+                "serial number {number:08X}: a second answer to one question. Two boards have this LSS address, or one \
+                 answers twice"
+            ));
+        }
         let slowest = self.bus.slowest_answer().unwrap_or_default();
         if slowest > SLOW.max(2 * self.slow_answer.unwrap_or_default()) {
             self.slow_answer = Some(slowest);
@@ -168,4 +203,17 @@ impl<'a> Session<'a> {
         }
         Ok(outcome?)
     }
+}
+
+/// What became of a command while the answers of a device were passed over.
+fn short_answer(outcome: Result<(), Failure>, len: usize) -> Result<(), Failure> {
+    let words = format!(
+        "a device answers LSS requests with {len} bytes, and not with 8 (CiA 305): it was passed over. Its firmware must be \
+         mended, or `lss raw` configures it, alone on the bus"
+    );
+    Err(match outcome {
+        Ok(()) => Failure::Refused(words),
+        Err(stop @ Failure::Stop(_)) => stop,
+        Err(failure) => Failure::Refused(format!("{failure}\n{words}")),
+    })
 }

@@ -75,30 +75,93 @@ impl Table {
         Ok(table)
     }
 
-    /// Opens the file, which must take an entry for this board at its end. A board gets no node-ID that the table cannot
-    /// keep.
-    pub fn open_for(&self, id: NodeId, address: Address) -> Result<File, Failure> {
-        let wrong = |why: String| {
+    /// The table with one more entry at its end, beside it. A board gets no node-ID that the table cannot keep.
+    pub fn with(&self, id: NodeId, address: Address) -> Result<Draft, Failure> {
+        self.draft(id, address, |text| {
+            let text = text + &entry(id, address);
+            // An array of inline tables, for example, does not go on at the end of the file.
+            match parse(&text) {
+                Ok(_) => Ok(text),
+                Err(why) => Err(format!("with one more [[node]] at its end: {why}")),
+            }
+        })
+    }
+
+    /// The table with another board in the place of a node-ID, beside it.
+    pub fn with_another(&self, id: NodeId, address: Address) -> Result<Draft, Failure> {
+        self.draft(id, address, |text| {
+            replace::replaced(&text, id, &address)
+                .ok_or_else(|| format!("it has no node {} any more", id.get()))
+        })
+    }
+
+    fn draft(
+        &self,
+        id: NodeId,
+        address: Address,
+        change: impl FnOnce(String) -> Result<String, String>,
+    ) -> Result<Draft, Failure> {
+        let text = text(&self.path).map_err(|error| error.to_string());
+        let draft = text.and_then(change).and_then(|text| {
+            let draft = Draft::new(&self.path, id, address);
+            match draft.write(&text) {
+                Ok(()) => Ok(draft),
+                Err(error) => Err(format!("cannot write: {}: {error}", draft.beside.display())),
+            }
+        });
+        draft.map_err(|why| {
             Failure::Refused(format!(
                 "{}: {why}. Board {} got no node-ID",
                 self.path.display(),
                 address::text(&address)
             ))
-        };
-        let text = text(&self.path).map_err(|error| wrong(error.to_string()))?;
-        // An array of inline tables, for example, does not go on at the end of the file.
-        parse(&(text + &entry(id, address)))
-            .map_err(|why| wrong(format!("with one more [[node]] at its end: {why}")))?;
-        let file = File::options().append(true).create(true).open(&self.path);
-        file.map_err(|error| wrong(format!("cannot write: {error}")))
+        })
     }
 
-    /// Adds an entry at the end of the open file, which otherwise stays as it is.
-    pub fn add(&mut self, mut file: File, id: NodeId, address: Address) -> io::Result<()> {
-        file.write_all(entry(id, address).as_bytes())?;
-        self.entries.push((id, address));
-        self.ids.insert(id.get());
+    /// Puts the draft in the place of the table. The file is the old one or the new one at any time.
+    pub fn take(&mut self, draft: &Draft) -> io::Result<()> {
+        fs::rename(&draft.beside, &draft.file)?;
+        self.entries.retain(|(id, _)| *id != draft.id);
+        self.entries.push((draft.id, draft.address));
+        self.ids.insert(draft.id.get());
         Ok(())
+    }
+}
+
+/// A table with another content on the disk. It is removed unless it has taken the place of the table.
+pub struct Draft {
+    /// The file of the table, which a link may lead to.
+    file: PathBuf,
+    beside: PathBuf,
+    id: NodeId,
+    address: Address,
+}
+
+impl Draft {
+    fn new(path: &Path, id: NodeId, address: Address) -> Self {
+        let mut file = path.to_owned();
+        while let Ok(to) = fs::read_link(&file) {
+            file = file.parent().unwrap_or(Path::new("")).join(to);
+        }
+        let mut name = file.file_name().unwrap_or_default().to_owned();
+        name.push(".new");
+        let beside = file.with_file_name(name);
+        Self { file, beside, id, address }
+    }
+
+    fn write(&self, text: &str) -> io::Result<()> {
+        let mut new = File::create(&self.beside)?;
+        new.write_all(text.as_bytes())?;
+        if let Ok(old) = fs::metadata(&self.file) {
+            new.set_permissions(old.permissions())?;
+        }
+        new.sync_all()
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.beside);
     }
 }
 

@@ -16,10 +16,13 @@ use emulator::{
 };
 use lss_master::Fastscan;
 use testkit::{
-    boards, frames, image,
-    image_rig::{ImageRig, bit_per_s, on_the_wire},
+    boards,
+    boards::Variant,
+    frames, image,
+    image_rig::ImageRig,
     parallel, product,
-    sessions::{self, AWAY, Session, Variant},
+    sessions::{self, AWAY, Session},
+    wire::{bit_per_s, on_the_wire},
 };
 
 /// Build the image of every chip, and run it on its emulated board; CAN2 and CAN3 on one chip each
@@ -156,7 +159,7 @@ fn boot(variant: &Variant) -> (u32, Time) {
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     let boot = rig.expect("705: 00", AWAY);
     let clocks = rig.network.board(0).chip().clocks();
-    let chip = Chip::named(variant.part.name()).expect("stm32f4/src/chip.rs has this chip");
+    let chip = Chip::named(variant.part.name()).expect("boards/stm32f4/src/chip.rs has this chip");
     assert_eq!(clocks.hclk.hz, chip::sysclk_hz(&chip), "the clock of the core");
     assert_eq!(clocks.pclk1.hz, chip::APB1_HZ, "the clock of APB1");
     (clocks.hclk.hz / 1_000_000, boot)

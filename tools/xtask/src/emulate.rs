@@ -24,7 +24,7 @@ use emulator::{
     chip::Part,
     network::{Network, Recording},
 };
-use testkit::image_rig::{DEFAULT_BIT_RATE, bit_per_s};
+use testkit::{image_rig::DEFAULT_BIT_RATE, wire::bit_per_s};
 
 use testkit::boards::{self, FIRST_START};
 
@@ -80,7 +80,7 @@ pub struct Arguments {
     /// Bit rate in kbit/s of a board without stored settings; 125 if only --node-id is given
     #[arg(long, value_name = "KBIT", value_parser = bit_rate)]
     bit_rate: Option<BitRate>,
-    /// Run an example of a product in place of the plain firmware; implies --console
+    /// Run an example of a product on its board, in place of the plain firmware; implies --console
     #[arg(long)]
     example: Option<Example>,
     /// Take commands from the standard input: switch the power, short the bus, set pins, voltages and the temperature
@@ -90,10 +90,10 @@ pub struct Arguments {
     #[arg(long, value_parser = Part::any)]
     chip: Option<Part>,
     /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
-    #[arg(long, default_value = "can1", value_parser = chip::controller)]
+    #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]
     controller: u8,
     /// The crystal on the boards of --elf, in MHz
-    #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26))]
+    #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26), requires = "elf")]
     crystal: u8,
 }
 
@@ -139,36 +139,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
-    let chip = example::chip(arguments.chip, arguments.example);
-    let chip_of_ours = arguments.chip.filter(|chip| Part::F4.contains(chip));
-    let chip_of_ours = example::chip(chip_of_ours, arguments.example);
-    let controller = arguments.controller;
-    controller::check(chip, controller)?;
-    ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
-    ensure!(
-        arguments.boards > 0 || arguments.node_id.is_none(),
-        "--node-id is stored in boards with our firmware only: set that of an --elf board over LSS"
-    );
-    let presets = (0..usize::from(arguments.boards))
-        .map(|number| arguments.preset(number))
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let mut memory = Memory::open(arguments.flash.as_deref())?;
-    let mut network = Network::new();
-    network.record(Recording::Off);
-    let image = (arguments.boards > 0)
-        .then(|| example::image(chip_of_ours, arguments.example))
-        .transpose()?;
-    for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
-        let mut board = boards::board(chip_of_ours, image, number);
-        memory.restore(&mut board, image, number, preset)?;
-        network.add_board(board);
-    }
-    network.run_for(FIRST_START);
-    memory.save(&network)?;
-    let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
-    let settings = board::Settings { crystal, controller: controller.into(), ..Default::default() };
-    let programs = Programs::load(&arguments.elf, chip, settings, &mut memory, &mut network)?;
-
+    let Prepared { mut network, memory, programs } = prepare(arguments)?;
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
@@ -184,6 +155,57 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     serve(&mut network, &inputs, &mut surroundings, bit_rate)?;
     print!("{}", surroundings.programs.report(&network));
     Ok(())
+}
+
+/// The boards on their bus, ours after their first start.
+struct Prepared {
+    network: Network,
+    memory: Memory,
+    programs: Programs,
+}
+
+fn prepare(arguments: &Arguments) -> anyhow::Result<Prepared> {
+    let chip = example::chip(arguments.chip, arguments.example);
+    let chip_of_ours = arguments.chip.filter(|chip| Part::F4.contains(chip));
+    ensure!(
+        chip_of_ours == arguments.chip || !arguments.elf.is_empty(),
+        "--chip {} needs --elf: our firmware does not run on it",
+        chip.name()
+    );
+    let chip_of_ours = example::chip(chip_of_ours, arguments.example);
+    let controller = arguments.controller;
+    controller::check(chip, controller)?;
+    ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");
+    ensure!(
+        arguments.boards > 0 || arguments.example.is_none(),
+        "--example runs on boards with our firmware only, and there are none"
+    );
+    ensure!(
+        arguments.boards > 0 || arguments.node_id.is_none(),
+        "--node-id is stored in boards with our firmware only: set that of an --elf board over LSS"
+    );
+    let presets = (0..usize::from(arguments.boards))
+        .map(|number| arguments.preset(number))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let mut memory = Memory::open(arguments.flash.as_deref())?;
+    let mut network = Network::new();
+    network.record(Recording::Off);
+    let image = (arguments.boards > 0)
+        .then(|| example::image(chip_of_ours, arguments.example))
+        .transpose()?;
+    for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
+        let unique_id = boards::unique_id(number);
+        let settings = board::Settings { unique_id, ..example::board(arguments.example) };
+        let mut board = Board::new(chip_of_ours, image, settings);
+        memory.restore(&mut board, image, number, preset)?;
+        network.add_board(board);
+    }
+    network.run_for(FIRST_START);
+    memory.save(&network)?;
+    let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
+    let settings = board::Settings { crystal, controller: controller.into(), ..Default::default() };
+    let programs = Programs::load(&arguments.elf, chip, settings, &mut memory, &mut network)?;
+    Ok(Prepared { network, memory, programs })
 }
 
 fn describe(ours: &[Board], programs: &Programs) -> String {
@@ -265,11 +287,58 @@ pub fn serve(
 mod tests {
     use std::{
         io::{Read, Write},
+        iter,
         net::TcpStream,
         thread,
     };
 
+    use clap::Parser;
+    use emulator::can::Adapter;
+    use testkit::{
+        frames::{of_master, of_node},
+        wire::on_the_wire,
+    };
+
     use super::*;
+
+    #[derive(Parser)]
+    struct CommandLine {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    fn prepared(words: &str) -> anyhow::Result<Prepared> {
+        let words = ["emulate"].into_iter().chain(words.split_whitespace());
+        prepare(&CommandLine::try_parse_from(words)?.arguments)
+    }
+
+    #[test]
+    fn the_board_of_each_example_answers_a_master() {
+        for example in ["", "--example io", "--example thermo"] {
+            let mut network = prepared(&format!("{example} --node-id 5")).expect(example).network;
+            let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
+            for request in ["04 01", "5E"] {
+                network.send(master, on_the_wire(&of_master(request)));
+            }
+            let received = || network.run_until_received(master, Time::from_ms(50));
+            let frames: Vec<_> = iter::from_fn(received).map(|(_, frame)| frame).collect();
+            assert!(frames.contains(&on_the_wire(&of_node("5E 05"))), "`{example}`: {frames:?}");
+        }
+    }
+
+    #[test]
+    fn an_option_without_effect_is_refused() {
+        let refusal = |words: &str| match prepared(words) {
+            Ok(_) => panic!("`{words}` is not refused"),
+            Err(error) => error.to_string(),
+        };
+        for words in ["--controller can2", "--example thermo --crystal 12"] {
+            assert!(refusal(words).contains("--elf <FILE>"), "{words}");
+        }
+        assert!(refusal("--chip stm32g431").contains("needs --elf"));
+        assert!(refusal("--boards 0 --elf a.elf --example io").contains("there are none"));
+        assert!(refusal("--boards 0 --elf a.elf --node-id 5").contains("our firmware only"));
+    }
 
     /// A bus without boards that runs until the end of the tests.
     fn served_bus() -> SocketAddr {

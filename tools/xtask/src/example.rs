@@ -1,6 +1,6 @@
 //! The examples of products, which the commands can run in place of the plain firmware.
 
-use emulator::{chip::Part, image::Image};
+use emulator::{board::Settings, can::Clock, chip::Part, image::Image};
 use testkit::image;
 
 /// An example of a product.
@@ -34,6 +34,17 @@ pub fn chip(chip: Option<Part>, example: Option<Example>) -> Part {
         Some(Example::Io) => Part::Stm32f407,
         Some(Example::Thermo) => Part::Stm32f446,
     })
+}
+
+/// The board of an example, or of the plain firmware: its crystal, and the CAN controller on the bus as in the product's
+/// `pins.rs`.
+pub fn board(example: Option<Example>) -> Settings {
+    let (hz, controller) = match example {
+        None => (firmware::device::CRYSTAL_HZ, 1),
+        Some(Example::Io) => (example_io::device::CRYSTAL_HZ, 1),
+        Some(Example::Thermo) => (example_thermo::device::CRYSTAL_HZ, 2),
+    };
+    Settings { crystal: Clock { hz, ppm: 0 }, controller, ..Settings::default() }
 }
 
 /// Builds the plain firmware or an example.

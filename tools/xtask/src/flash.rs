@@ -2,7 +2,7 @@
 
 use canopen_stm32f4::chip::Chip;
 use emulator::chip::Part;
-use testkit::cargo::cargo_for_the_chip;
+use testkit::cargo::{cargo_for_the_chip, workspace};
 
 use crate::{
     example::{self, Example},
@@ -32,7 +32,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let chip = Chip::named(part.name()).expect("a test compares the names");
     let package = Example::package(arguments.example);
     tool::run(
-        cargo_for_the_chip("run")
+        cargo_for_the_chip(workspace(), "run")?
             .args(["--release", "--package", &package, "--bin", &package])
             .args(["--features", chip.feature])
             .env("PROBE_RS_CHIP", chip.probe_rs),

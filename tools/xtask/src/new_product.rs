@@ -88,11 +88,12 @@ fn quietly(command: &mut Command, folder: &Path) -> bool {
 }
 
 /// Names that the product cannot have: of crates and modules in its program, and of the test harness.
-const TAKEN: [&str; 21] = [
+const TAKEN: [&str; 22] = [
     "alloc",
     "app",
     "bxcan",
     "canopen-stm32f4",
+    "chip-build",
     "core",
     "cortex-m",
     "cortex-m-rt",

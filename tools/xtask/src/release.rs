@@ -2,9 +2,6 @@
 
 mod elsewhere;
 mod image;
-mod licences;
-mod packages;
-mod sbom;
 
 use std::{fs, path::PathBuf};
 
@@ -22,8 +19,6 @@ use crate::{eds, size};
 ///   lss-slave-ADDRESS.bin    the parts of the program before and after the settings, for dfu-util and others
 ///   lss-slave.eds            the electronic data sheet
 ///   size.txt                 the memory that the program takes
-///   sbom.cdx.json            the packages in the program, as CycloneDX
-///   licences.txt             their licences
 ///   SHA256SUMS               the checksums of these files
 ///
 /// No file has a byte for the settings in sectors 1 and 2 of the flash. All are the same bytes wherever they are made:
@@ -55,7 +50,6 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.check_reproducible {
         elsewhere::check(chip, &elf)?;
     }
-    let packages = packages::linked(chip)?;
     let (size, _) = size::report(&elf, chip, false)?;
     let image = Image::from_elf(&elf)?;
     let bytes: usize = image.segments().map(|(_, bytes)| bytes.len()).sum();
@@ -64,8 +58,6 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     files.extend([
         ("lss-slave.eds".to_owned(), eds::of_firmware().eds().into_bytes()),
         ("size.txt".to_owned(), size.into_bytes()),
-        ("sbom.cdx.json".to_owned(), sbom::of(&packages, &sha256(&elf))?.into_bytes()),
-        ("licences.txt".to_owned(), licences::of(&packages)?.into_bytes()),
         ("lss-slave.elf".to_owned(), elf),
     ]);
     files.sort();
@@ -80,7 +72,7 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
         let path = folder.join(name);
         fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    println!("{}: {bytes} bytes of program, {} packages", folder.display(), packages.len());
+    println!("{}: {bytes} bytes of program", folder.display());
     Ok(())
 }
 
@@ -91,9 +83,11 @@ fn sha256(content: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+
     #[test]
     fn the_checksum_is_that_of_fips_180() {
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(super::sha256(b"abc"), expected);
+        assert_eq!(sha256(b"abc"), expected);
     }
 }

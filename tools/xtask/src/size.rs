@@ -13,7 +13,7 @@ use crate::example::{self, Example};
 
 /// Show the firmware's memory use, and check it against the budget
 ///
-/// Fails if the flash takes more than xtask/size-budget.toml allows.
+/// Fails if the flash takes more than tools/xtask/size-budget.toml allows.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip to build for [default: stm32f405, or that of the example]
@@ -42,7 +42,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let budget = budget();
     if has_budget && flash > budget {
         bail!(
-            "the firmware takes {} bytes more flash than xtask/size-budget.toml allows",
+            "the firmware takes {} bytes more flash than tools/xtask/size-budget.toml allows",
             flash - budget
         );
     }

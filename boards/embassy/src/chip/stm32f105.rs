@@ -1,4 +1,5 @@
-//! An STM32F105RC with a crystal of 8 MHz: clocks, pins, and the place of the settings. It is only built.
+//! A board of one's own with an STM32F105RC and a crystal of 8 MHz: clocks, pins, and the place of the settings. It is only
+//! built.
 
 use embassy_stm32::{
     Config, Peripherals,
@@ -7,12 +8,12 @@ use embassy_stm32::{
     gpio::{Level, Output, Speed},
     rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllSource, Sysclk},
     time::Hertz,
-    wdg::IndependentWatchdog,
 };
 
 use crate::{
     Parts,
     bxcan::{Bxcan, Interrupts},
+    clock::Clock,
 };
 
 /// The clock of the CAN controller.
@@ -39,6 +40,6 @@ pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region<'static, Blocking>> {
         flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region,
         run: Output::new(p.PA5, Level::Low, Speed::Low),
         error: Output::new(p.PA6, Level::Low, Speed::Low),
-        watchdog: IndependentWatchdog::new(p.IWDG, 2_000_000),
+        clock: Clock::new(p.TIM2),
     }
 }

@@ -1,4 +1,4 @@
-//! The board STM32F407G-DISC1: clocks, pins, and the place of the settings.
+//! The board STM32F407G-DISC1 with its crystal of 8 MHz: clocks, pins, and the place of the settings.
 
 use embassy_stm32::{
     Config, Peripherals,
@@ -10,12 +10,12 @@ use embassy_stm32::{
         Sysclk,
     },
     time::Hertz,
-    wdg::IndependentWatchdog,
 };
 
 use crate::{
     Parts,
     bxcan::{Bxcan, Interrupts},
+    clock::Clock,
 };
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
@@ -51,6 +51,6 @@ pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region1<'static, Blocking>> {
         flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region1,
         run: Output::new(p.PD12, Level::Low, Speed::Low),
         error: Output::new(p.PD14, Level::Low, Speed::Low),
-        watchdog: IndependentWatchdog::new(p.IWDG, 2_000_000),
+        clock: Clock::new(p.TIM2),
     }
 }

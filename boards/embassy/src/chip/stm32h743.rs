@@ -1,4 +1,4 @@
-//! The board NUCLEO-H743ZI: clocks, pins, and the place of the settings. It is only built.
+//! The board NUCLEO-H743ZI with the 8 MHz of its ST-LINK: clocks, pins, and the place of the settings. It is only built.
 
 use core::arch::asm;
 
@@ -7,19 +7,23 @@ use embassy_stm32::{
     Config, Peripherals,
     flash::{self, Bank2Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
+    peripherals::{PB8, PB9},
     rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource,
         Sysclk, mux,
     },
     time::Hertz,
-    wdg::IndependentWatchdog,
 };
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
-use crate::{Parts, fdcan::Fdcan};
+use crate::{Parts, clock::Clock, fdcan::Fdcan};
 
 type Region = Bank2Region<'static, Blocking>;
+
+/// The pins of the CAN controller.
+pub type Receive = PB8;
+pub type Transmit = PB9;
 
 /// The clock of the CAN controller: 80 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 80_000_000;
@@ -58,7 +62,7 @@ pub fn parts(p: Peripherals) -> Parts<Fdcan, SettingsFlash> {
         flash: SettingsFlash(Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region),
         run: Output::new(p.PB0, Level::Low, Speed::Low),
         error: Output::new(p.PB14, Level::Low, Speed::Low),
-        watchdog: IndependentWatchdog::new(p.IWDG1, 2_000_000),
+        clock: Clock::new(p.TIM2),
     }
 }
 

@@ -1,4 +1,4 @@
-//! The board NUCLEO-L476RG with a crystal of 8 MHz: clocks, pins, and the place of the settings. It is only built.
+//! The board NUCLEO-L476RG with the 8 MHz of its ST-LINK: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
     Config, Peripherals,
@@ -7,12 +7,12 @@ use embassy_stm32::{
     gpio::{Level, Output, Speed},
     rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk},
     time::Hertz,
-    wdg::IndependentWatchdog,
 };
 
 use crate::{
     Parts,
     bxcan::{Bxcan, Interrupts},
+    clock::Clock,
 };
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
@@ -25,7 +25,7 @@ pub const SETTINGS_LEN: u32 = 0x4000;
 /// 80 MHz, and 40 MHz for the peripherals.
 pub fn clocks() -> Config {
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });
+    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Bypass });
     config.rcc.pll = Some(Pll {
         source: PllSource::HSE,
         prediv: PllPreDiv::DIV1,
@@ -46,6 +46,6 @@ pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region<'static, Blocking>> {
         flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region,
         run: Output::new(p.PA5, Level::Low, Speed::Low),
         error: Output::new(p.PA6, Level::Low, Speed::Low),
-        watchdog: IndependentWatchdog::new(p.IWDG, 2_000_000),
+        clock: Clock::new(p.TIM2),
     }
 }

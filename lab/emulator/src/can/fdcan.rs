@@ -166,7 +166,7 @@ impl Fdcan {
             CCCR => return self.write_cccr(value, now),
             NBTP => self.write_nbtp(value, now),
             // Without CCCR.TEST it keeps its reset value.
-            TEST if !self.has(CCCR_TEST) => return value & TEST_LBCK == 0,
+            TEST if !self.has(CCCR_TEST) => {}
             TSCV => self.counts_from = now,
             IR => *self.reg_mut(IR) &= !value,
             RXF0A => self.received[0].acknowledge(value),

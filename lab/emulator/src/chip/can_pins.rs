@@ -38,6 +38,7 @@ impl Chip {
 
     /// Connects the controllers to the pins that GPIO selects. A pin in any other mode leaves the bus recessive.
     pub(super) fn connect_cans(&mut self, now: Time) {
+        self.note_receive_pin();
         for can in 0..self.cans.len() {
             let pins = self.can_pins(can);
             if self.cans_joined[can] != pins {

@@ -23,6 +23,9 @@ const OPTKEYR: u32 = 0x08;
 const CR: u32 = 0x10;
 const OPTCR: u32 = 0x14;
 const OPTCR1: u32 = 0x18;
+/// Registers of an STM32G4 only, by offsets that an STM32F4 does not have.
+const ECCR: u32 = 0x100;
+const OPTR: u32 = 0x104;
 
 const ACR_ICEN: u32 = 1 << 9;
 const ACR_DCEN: u32 = 1 << 10;
@@ -42,6 +45,10 @@ const CR_STRT: u32 = 1 << 16;
 const CR_UNMODELLED: u32 = 1 << 17 | 1 << 18;
 const CR_EOPIE: u32 = 1 << 24;
 const CR_LOCK: u32 = 1 << 31;
+/// The lock of the option bytes of an STM32G4, which is never opened.
+const CR_OPTLOCK: u32 = 1 << 30;
+const ECCR_ECCD: u32 = 1 << 31;
+const ECCR_ADDRESS: u32 = 0x7_FFFF;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +76,8 @@ pub struct Flash {
     acr: u32,
     sr: u32,
     cr: u32,
+    /// FLASH_ECCR of an STM32G4.
+    eccr: u32,
     /// The first of the two keys was written.
     is_half_open: bool,
     /// A wrong key has closed FLASH_CR until the next reset.
@@ -99,17 +108,28 @@ impl Flash {
     /// The offset that the register of this offset has on an STM32F4, if it has one.
     fn register(&self, offset: u32) -> Option<u32> {
         match (self.part.family(), offset) {
-            (Family::F4, offset) => Some(offset),
+            (Family::F4, ..ECCR) => Some(offset),
             (Family::G4, 0x00) => Some(ACR),
             (Family::G4, 0x08) => Some(KEYR),
             (Family::G4, 0x10) => Some(Self::SR),
             (Family::G4, 0x14) => Some(CR),
-            (Family::G4, _) => None,
+            (Family::G4, 0x18) => Some(ECCR),
+            (Family::G4, 0x20) => Some(OPTR),
+            _ => None,
+        }
+    }
+
+    /// FLASH_ACR and FLASH_CR after a reset.
+    fn after_reset(part: Part) -> (u32, u32) {
+        match part.family() {
+            Family::F4 => (0, CR_LOCK),
+            Family::G4 => (ACR_ICEN | ACR_DCEN, CR_LOCK | CR_OPTLOCK),
         }
     }
 
     /// Erased flash after power-on.
     pub fn new(part: Part, variant: &ChipVariant) -> Self {
+        let (acr, cr) = Self::after_reset(part);
         Self {
             part,
             array: Array::new(part),
@@ -117,9 +137,10 @@ impl Flash {
             timing: variant.flash_timing,
             supply_mv: 3_300,
             cut_words_flip: variant.cut_words_flip,
-            acr: 0,
+            acr,
             sr: 0,
-            cr: CR_LOCK,
+            cr,
+            eccr: 0,
             is_half_open: false,
             is_jammed: false,
             stale_data_cache: false,
@@ -144,6 +165,30 @@ impl Flash {
     /// Sets the wait states and caches of the boot loader.
     pub(super) fn leave_loader(&mut self) {
         self.acr = ACR_ICEN | ACR_DCEN | 3;
+    }
+
+    /// Whether an STM32G4 starts the boot loader in ROM, with the pin BOOT0 high or low.
+    pub(super) fn starts_loader(&self, is_pin_high: bool) -> bool {
+        self.options.starts_loader(is_pin_high)
+    }
+
+    /// The offsets of the double words that have a double error, in order.
+    pub fn double_errors(&self) -> impl Iterator<Item = u32> {
+        self.array.double_errors()
+    }
+
+    /// Notes a read of the core: a double error sets ECCD (RM0440 3.3.4).
+    pub fn note_read(&mut self, offset: u32, length: u32) {
+        let read = (offset & !7)..offset + length;
+        let word = self.double_errors().find(|word| read.contains(word));
+        if let Some(word) = word {
+            self.eccr = self.eccr & !ECCR_ADDRESS | ECCR_ECCD | word;
+        }
+    }
+
+    /// The level of the non-maskable interrupt.
+    pub(super) fn nmi(&self) -> bool {
+        self.eccr & ECCR_ECCD != 0
     }
 
     pub(super) fn bor_lev(&self) -> u32 {
@@ -233,9 +278,10 @@ impl Flash {
     }
 
     fn write_cr(&mut self, value: u32, now: Time) -> Result<(), Problem> {
+        let locked = Self::after_reset(self.part).1;
         if self.cr & CR_LOCK != 0 {
             return match value {
-                CR_LOCK => Ok(()),
+                _ if value == locked => Ok(()),
                 _ => Err(Problem::Misuse("FLASH_CR written while it is locked")),
             };
         }
@@ -243,7 +289,7 @@ impl Flash {
             return Err(Problem::Misuse("FLASH_CR written while BSY is set"));
         }
         if value & CR_LOCK != 0 {
-            self.cr = CR_LOCK;
+            self.cr = locked;
             self.is_half_open = false;
             if value & (CR_PG | CR_SER | CR_MER | CR_STRT) != 0 {
                 return Err(Problem::Misuse(
@@ -252,7 +298,7 @@ impl Flash {
             }
             return Ok(());
         }
-        self.cr = value & 0x0301_FFFF;
+        self.cr = value & 0x0301_FFFF | locked & CR_OPTLOCK;
         if self.part.family() == Family::G4 && value & CR_UNMODELLED != 0 {
             return Err(Problem::Unmodelled);
         }
@@ -411,9 +457,8 @@ impl Registers for Flash {
         if self.power_cut_at.take().is_some() {
             self.power_cut = None;
         }
-        self.acr = 0;
-        self.sr = 0;
-        self.cr = CR_LOCK;
+        (self.acr, self.cr) = Self::after_reset(self.part);
+        (self.sr, self.eccr) = (0, 0);
         (self.is_half_open, self.is_jammed) = (false, false);
         self.first_word = None;
         self.stale_data_cache = false;
@@ -427,6 +472,8 @@ impl Registers for Flash {
             KEYR | OPTKEYR => Some(0),
             Self::SR => Some(self.sr | busy),
             CR => Some(self.cr),
+            ECCR => Some(self.eccr),
+            OPTR => Some(self.options.optr()),
             OPTCR => Some(self.options.registers()[0]),
             OPTCR1 if self.part.has_two_banks() => Some(self.options.registers()[1]),
             _ => None,
@@ -440,6 +487,8 @@ impl Registers for Flash {
             KEYR => return self.write_key(value),
             Self::SR => self.sr &= !value,
             CR => return self.write_cr(value, now),
+            // A 1 clears ECCD; single errors, and an interrupt for them, are not modelled.
+            ECCR => self.eccr &= !(value & ECCR_ECCD),
             _ => return Err(Problem::Unmodelled),
         }
         Ok(())

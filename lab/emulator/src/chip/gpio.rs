@@ -1,6 +1,6 @@
 //! GPIO ports (RM0090 chapter 8): mode, output with the time of the last change, external input.
 
-use super::{Part, Problem, map::Registers};
+use super::{Part, Problem, map::Registers, part::Family};
 use crate::Time;
 
 const MODER: u32 = 0x00;
@@ -25,6 +25,7 @@ pub struct Output {
 
 #[derive(Debug)]
 pub(super) struct Port {
+    family: Family,
     index: usize,
     regs: [u32; 10],
     outside: [Option<bool>; 16],
@@ -37,8 +38,9 @@ pub struct Gpio {
 }
 
 impl Port {
-    fn new(index: usize) -> Self {
+    fn new(family: Family, index: usize) -> Self {
         let mut port = Self {
+            family,
             index,
             regs: [0; 10],
             outside: [None; 16],
@@ -83,7 +85,13 @@ impl Registers for Port {
             1 => (0x0000_0280, 0x0000_00C0, 0x0000_0100),
             _ => (0, 0, 0),
         };
-        self.regs[0] = moder;
+        // Unused pins of an STM32G4 are analogue (RM0440 9.4.1).
+        self.regs[0] = match (self.family, self.index) {
+            (Family::F4, _) => moder,
+            (Family::G4, 0) => 0xABFF_FFFF,
+            (Family::G4, 1) => 0xFFFF_FEBF,
+            (Family::G4, _) => u32::MAX,
+        };
         self.regs[2] = ospeedr;
         self.regs[3] = pupdr;
         self.note_outputs(now);
@@ -117,7 +125,8 @@ impl Registers for Port {
 impl Gpio {
     /// The ports of `part` after power-on, with nothing connected.
     pub fn new(part: Part) -> Self {
-        Self { ports: (0..part.gpio_ports()).map(Port::new).collect() }
+        let port = |index| Port::new(part.family(), index);
+        Self { ports: (0..part.gpio_ports()).map(port).collect() }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -137,6 +146,11 @@ impl Gpio {
     /// The level on `pin`, as its input register shows it. Panics if the part has no such pin.
     pub fn level(&self, pin: Pin) -> bool {
         self.ports[port_index(pin)].input(pin.1.into())
+    }
+
+    /// The external level that `pin` is connected to, if it is.
+    pub(super) fn outside(&self, pin: Pin) -> Option<bool> {
+        self.ports[port_index(pin)].outside[usize::from(pin.1)]
     }
 
     /// Connects `pin` to an external level, or leaves it open. Panics if the part has no such pin.

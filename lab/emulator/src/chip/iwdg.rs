@@ -17,6 +17,8 @@ pub struct Iwdg {
     prescaler_busy: Time,
     reload_busy: Time,
     deadline: Option<Time>,
+    /// The begin of the freeze, while a debugger has halted the core.
+    frozen_since: Option<Time>,
 }
 
 impl Iwdg {
@@ -30,12 +32,24 @@ impl Iwdg {
             prescaler_busy: Time::ZERO,
             reload_busy: Time::ZERO,
             deadline: None,
+            frozen_since: None,
         }
     }
 
     /// The time of the watchdog reset, if the watchdog runs.
     pub fn deadline(&self) -> Option<Time> {
-        self.deadline
+        self.deadline.filter(|_| self.frozen_since.is_none())
+    }
+
+    /// Stops the count until [`thaw`](Self::thaw).
+    pub fn freeze(&mut self, now: Time) {
+        self.frozen_since = Some(now);
+    }
+
+    pub fn thaw(&mut self, now: Time) {
+        if let (Some(since), Some(deadline)) = (self.frozen_since.take(), &mut self.deadline) {
+            *deadline += now - since;
+        }
     }
 
     fn lsi_periods(&self, count: u64) -> Time {

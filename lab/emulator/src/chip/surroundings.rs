@@ -36,8 +36,13 @@ impl Chip {
         self.rcc.is_stopped()
     }
 
+    /// Raises the non-maskable interrupt of an STM32G4 for an error of the parity of its SRAM.
+    pub fn fail_parity(&mut self) {
+        self.syscfg.fail_parity();
+    }
+
     /// The level of the non-maskable interrupt.
     pub fn nmi(&self) -> bool {
-        self.rcc.nmi()
+        self.rcc.nmi() || self.flash.nmi() || self.syscfg.nmi()
     }
 }

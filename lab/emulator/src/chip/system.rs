@@ -2,7 +2,11 @@
 
 use std::fmt;
 
-use super::{Part, Problem, Thresholds, adc, map::Registers, part::Family};
+use super::{
+    Part, Problem, Thresholds, adc,
+    map::{Place, Registers},
+    part::Family,
+};
 use crate::Time;
 
 /// What the chip needs of PWR, whatever its registers are.
@@ -129,11 +133,25 @@ pub struct Syscfg {
 }
 
 impl Syscfg {
+    /// A register of an STM32G4, and its flag that a 1 clears.
+    const CFGR2: u32 = 0x18;
+    const SPF: u32 = 1 << 8;
+
     /// The state after a reset: the memory at address 0 is that of the boot pins.
     pub fn new(boot: AtZero) -> Self {
         let mut regs = [0; 9];
         regs[0] = boot as u32;
         Self { boot, regs }
+    }
+
+    /// Sets SPF of an STM32G4, as an error of the parity of its SRAM does (RM0440 10.2.7).
+    pub fn fail_parity(&mut self) {
+        self.regs[Self::CFGR2 as usize / 4] |= Self::SPF;
+    }
+
+    /// The level of the non-maskable interrupt.
+    pub fn nmi(&self) -> bool {
+        self.regs[Self::CFGR2 as usize / 4] & Self::SPF != 0
     }
 
     pub fn at_zero(&self) -> AtZero {
@@ -158,7 +176,11 @@ impl Registers for Syscfg {
 
     /// A remap other than those of [`AtZero`] is not modelled.
     fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
-        *self.regs.get_mut(offset as usize / 4).ok_or(Problem::Unmodelled)? = value;
+        let register = self.regs.get_mut(offset as usize / 4).ok_or(Problem::Unmodelled)?;
+        *register = match offset {
+            Self::CFGR2 => value & !Self::SPF | *register & !value & Self::SPF,
+            _ => value,
+        };
         let is_modelled = offset != 0 || matches!(value, 0 | 1 | 3);
         if is_modelled { Ok(()) } else { Err(Problem::Unmodelled) }
     }
@@ -194,16 +216,41 @@ impl Registers for Exti {
     }
 }
 
-/// DBGMCU (RM0090 38.16): identification and the freeze bits, which have no effect without a debugger.
+/// DBGMCU (RM0090 38.16, RM0440 47.17): identification, and what stops while a debugger has halted the core.
 #[derive(Debug)]
 pub struct Dbgmcu {
-    regs: [u32; 4],
+    family: Family,
+    regs: [u32; 5],
 }
 
 impl Dbgmcu {
     /// The state after power-on.
     pub fn new(part: Part) -> Self {
-        Self { regs: [part.id_code(), 0, 0, 0] }
+        Self { family: part.family(), regs: [part.id_code(), 0, 0, 0, 0] }
+    }
+
+    /// The place of APB2_FZ, the last register.
+    fn last(&self) -> usize {
+        if self.family == Family::G4 { 4 } else { 3 }
+    }
+
+    /// APB1_FZ and APB2_FZ.
+    fn freezes(&self) -> [u32; 2] {
+        [self.regs[2], self.regs[self.last()]]
+    }
+
+    pub fn freezes_watchdog(&self) -> bool {
+        self.freezes()[0] >> 12 & 1 == 1
+    }
+
+    /// Each timer has the bit of its place.
+    pub fn freezes_timer(&self, (bus, place): Place) -> bool {
+        self.freezes()[bus as usize] >> place & 1 == 1
+    }
+
+    /// Whether it freezes something else, as CAN.
+    pub fn freezes_others(&self) -> bool {
+        self.freezes()[0] & !0x11FF != 0
     }
 }
 
@@ -217,7 +264,7 @@ impl Registers for Dbgmcu {
 
     fn write(&mut self, offset: u32, value: u32, _: Time) -> Result<(), Problem> {
         match offset as usize / 4 {
-            index @ 1..4 => self.regs[index] = value,
+            index if index > 0 && index <= self.last() => self.regs[index] = value,
             _ => return Err(Problem::Unmodelled),
         }
         Ok(())

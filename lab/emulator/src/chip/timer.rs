@@ -86,6 +86,8 @@ pub struct Timer {
     seen: u64,
     /// The time of the next event that interrupts.
     deadline: Time,
+    /// It does not count, as a debugger has halted the core.
+    is_frozen: bool,
 }
 
 impl Timer {
@@ -105,7 +107,20 @@ impl Timer {
             since: Time::ZERO,
             seen: 0,
             deadline: Time::MAX,
+            is_frozen: false,
         }
+    }
+
+    /// Stops the count, or lets it go on.
+    pub fn freeze(&mut self, is_frozen: bool, now: Time) {
+        self.advance(now);
+        self.settle(now);
+        self.is_frozen = is_frozen;
+        self.plan();
+    }
+
+    fn counts(&self) -> bool {
+        self.cr1 & CEN != 0 && !self.is_frozen
     }
 
     /// Sets the clock of the timers on its bus (RM0090 7.2).
@@ -123,8 +138,8 @@ impl Timer {
         self.deadline
     }
 
-    pub fn apb(&self) -> Apb {
-        self.kind.place.0
+    pub fn place(&self) -> Place {
+        self.kind.place
     }
 
     /// The levels of its interrupts as of the latest access or [`advance`](Self::advance), bit n for interrupt n.
@@ -210,7 +225,7 @@ impl Timer {
     }
 
     fn counts_until(&self, now: Time) -> u64 {
-        if self.cr1 & CEN == 0 {
+        if !self.counts() {
             return 0;
         }
         let (rate, count) = self.rate();
@@ -240,8 +255,7 @@ impl Timer {
         let (rate, count) = self.rate();
         let whole = (u128::from(self.seen) * count).div_ceil(rate);
         self.origin = self.count_after(self.seen);
-        self.since =
-            if self.cr1 & CEN == 0 { now } else { self.since + Time::from_ps(whole as u64) };
+        self.since = if !self.counts() { now } else { self.since + Time::from_ps(whole as u64) };
         self.seen = 0;
     }
 
@@ -250,7 +264,7 @@ impl Timer {
         let waits = |&(bit, _): &(u32, u32)| self.dier & !self.sr & bit != 0;
         let next = self.events().filter(waits).filter_map(|(_, value)| self.counts_to(value)).min();
         self.deadline = match next {
-            Some(counts) if self.cr1 & CEN != 0 => {
+            Some(counts) if self.counts() => {
                 let (rate, count) = self.rate();
                 let ahead = (u128::from(self.seen + counts) * count).div_ceil(rate);
                 Time::from_ps(self.since.as_ps().saturating_add(ahead as u64))

@@ -27,7 +27,6 @@ use super::{Engine, Halt, Lockup, clock::CycleClock};
 use crate::{
     Time,
     chip::{Access, CCM_BASE, Chip, FLASH_BASE, Problem, RAM_BASE, Width},
-    coverage::{Executed, Recorder},
 };
 use accelerator::Accelerator;
 use bus::{Link, Space};
@@ -50,6 +49,7 @@ pub struct Rsemu {
     asleep_cycles: u64,
     /// The CPU does nothing before this cycle.
     stalled_until: u64,
+    is_halted: bool,
     /// Whether the flash is busy, so that every fetch has to be checked.
     flash_busy: bool,
     /// The cycles of the last instruction, if it was a jump to itself.
@@ -62,8 +62,9 @@ pub struct Rsemu {
     /// Set while no exception can be taken before SysTick interrupts, the chip changes or rsemu executes an instruction:
     /// the addresses that the MPU guards.
     settled: Option<Range<u32>>,
+    /// The double words of the flash with a double error.
+    double_errors: Vec<u32>,
     decoded: Decoded,
-    recorder: Option<Recorder>,
 }
 
 impl Rsemu {
@@ -94,14 +95,15 @@ impl Rsemu {
             cycles: 0,
             asleep_cycles: 0,
             stalled_until: 0,
+            is_halted: false,
             flash_busy: false,
             spin: None,
             slowdown: variant.slowdown.max(1).into(),
             flash_waits: variant.flash_waits,
             irqs: 0,
             settled: None,
+            double_errors: Vec::new(),
             decoded: Decoded::new(),
-            recorder: None,
         }
     }
 
@@ -149,18 +151,15 @@ impl Rsemu {
             ccm: &self.ccm,
             chip: &self.space.chip,
             guarded,
+            double_errors: &self.double_errors,
         };
         let mut fast = Fast::new(self.cpu.regs(), memories, &mut self.decoded);
         let mut used = 0;
         while self.cycles + used < target && !fast.has_stored && !fast.has_unmasked {
-            let (pc, xpsr) = (fast.regs.r[15], fast.regs.xpsr);
             self.link.cycles.store(self.cycles + used, Relaxed);
-            self.link.pc.store(pc, Relaxed);
+            self.link.pc.store(fast.regs.r[15], Relaxed);
             let Some(cycles) = fast.step() else { break };
             used += cycles * self.slowdown;
-            if let Some(recorder) = &mut self.recorder {
-                recorder.executed(Executed { pc, next: fast.regs.r[15], xpsr });
-            }
         }
         if used > 0 {
             let may_interrupt = fast.has_unmasked;
@@ -189,6 +188,13 @@ impl Rsemu {
     fn program_state(&self) -> (u32, u32) {
         let regs = self.cpu.regs();
         (regs.r[15], regs.xpsr)
+    }
+
+    /// Advances to `until` while a debugger halts the core: neither SysTick nor DWT_CYCCNT counts.
+    fn pass_halted(&mut self, until: Time) {
+        let cycles = self.clock.cycle_at(until).saturating_sub(self.cycles);
+        self.cycles += cycles;
+        self.asleep_cycles += cycles;
     }
 
     fn exception_pending(&self) -> bool {
@@ -232,46 +238,26 @@ impl Rsemu {
         halt
     }
 
-    /// The address of the xPSR that an exception entry has stacked, if the step was one.
-    ///
-    /// `before` and `pc` are the values before the step.
-    fn entry(&self, before: u32, pc: u32) -> Option<u32> {
-        const STACKED_PC: u32 = 6 * 4;
-        let regs = self.cpu.regs();
-        if (regs.xpsr ^ before) & xpsr::EXCEPTION == 0 {
-            return None;
-        }
-        let was_handler = before & xpsr::EXCEPTION != 0;
-        let used_psp = !was_handler && regs.control & control::SPSEL != 0;
-        let frame = if used_psp { regs.psp } else { regs.msp };
-        let mut stacked = [0; 4];
-        // An exception return changes the exception number too, but has not stacked this PC.
-        let has_stacked =
-            self.read_memory(frame + STACKED_PC, &mut stacked) && stacked == pc.to_le_bytes();
-        has_stacked.then_some(frame + STACKED_PC + 4)
-    }
-
     /// Restores ITSTATE in the stacked xPSR: rsemu 0.0.7 leaves it out at an exception entry, so that the rest of an
     /// interrupted IT block would run unconditionally.
     ///
     /// `before` and `pc` are the values before the step that may have been the entry.
     fn mend_stacked_itstate(&mut self, before: u32, pc: u32) {
-        let mut stacked = [0; 4];
-        if let Some(address) = self.entry(before, pc)
-            && self.read_memory(address, &mut stacked)
-        {
-            let mended = u32::from_le_bytes(stacked) | before & xpsr::IT_MASK;
-            self.write_ram(address, &mended.to_le_bytes());
+        const STACKED_PC: u32 = 6 * 4;
+        let regs = self.cpu.regs();
+        if (regs.xpsr ^ before) & xpsr::EXCEPTION == 0 {
+            return;
         }
-    }
-
-    /// Records the step, unless it was an exception entry.
-    fn record_step(&mut self, before: u32, pc: u32, next: u32) {
-        if self.recorder.is_some()
-            && self.entry(before, pc).is_none()
-            && let Some(recorder) = &mut self.recorder
-        {
-            recorder.executed(Executed { pc, next, xpsr: before });
+        let was_handler = before & xpsr::EXCEPTION != 0;
+        let used_psp = !was_handler && regs.control & control::SPSEL != 0;
+        let frame = if used_psp { regs.psp } else { regs.msp };
+        let address = frame + STACKED_PC;
+        let mut stacked = [0; 8];
+        // An exception return changes the exception number too, but has not stacked this PC.
+        if self.read_memory(address, &mut stacked) && stacked[..4] == pc.to_le_bytes() {
+            let [.., a, b, c, d] = stacked;
+            let mended = u32::from_le_bytes([a, b, c, d]) | before & xpsr::IT_MASK;
+            self.write_ram(address + 4, &mended.to_le_bytes());
         }
     }
 
@@ -288,6 +274,7 @@ impl Rsemu {
             let bytes = &chip.flash().bytes()[range.clone()];
             copy(&self.flash, range.start, bytes);
             self.decoded.forget(&range);
+            self.double_errors = chip.flash().double_errors().collect();
         }
     }
 
@@ -337,16 +324,19 @@ impl Engine for Rsemu {
         self.cpu.reset(ResetKind::Cold);
         self.settled = None;
         self.irqs = 0;
-        let (hclk, at_zero) = {
+        let (hclk, at_zero, stays_in_loader) = {
             let chip = lock(&self.chip);
-            (chip.clocks().hclk, chip.at_zero())
+            (chip.clocks().hclk, chip.at_zero(), chip.stays_in_loader())
         };
         self.space.put_at_zero(at_zero);
         // The new clock starts at the last whole cycle of the old one, so time never goes back.
         let reached = self.now().as_ps().max(now.as_ps());
         self.clock = CycleClock::new(hclk, self.cycles, Time::from_ps(reached));
         self.link.set_clock(self.clock);
-        self.stalled_until = self.clock.cycle_at(Time::from_ps(reached) + hold);
+        self.stalled_until = match stays_in_loader {
+            true => u64::MAX,
+            false => self.clock.cycle_at(Time::from_ps(reached) + hold),
+        };
         self.flash_busy = false;
         self.spin = None;
         *self.link.accelerator() = Accelerator::new();
@@ -380,6 +370,10 @@ impl Engine for Rsemu {
         let chip = Arc::clone(&self.chip);
         self.sync(&lock(&chip));
         let mut target = self.clock.cycle_at(until);
+        if self.is_halted {
+            self.pass_halted(until);
+            return Halt::Deadline;
+        }
         while self.cycles < target {
             if self.flash_busy {
                 self.check_stall(self.cpu.pc());
@@ -414,7 +408,6 @@ impl Engine for Rsemu {
                 self.mend_stacked_itstate(before, pc);
             }
             let next = self.cpu.pc();
-            self.record_step(before, pc, next);
             if let Some(halt) = self.after_step(until, &mut target) {
                 return halt;
             }
@@ -430,7 +423,15 @@ impl Engine for Rsemu {
         Halt::Deadline
     }
 
+    fn set_halted(&mut self, is_halted: bool) {
+        self.is_halted = is_halted;
+    }
+
     fn sleep(&mut self, until: Time) -> bool {
+        if self.is_halted {
+            self.pass_halted(until);
+            return true;
+        }
         let is_asleep = self.cpu.is_asleep() && self.stalled_until <= self.cycles;
         if is_asleep {
             let cycles = self.clock.cycle_at(until).saturating_sub(self.cycles);
@@ -445,7 +446,7 @@ impl Engine for Rsemu {
     }
 
     fn wake_time(&self) -> Time {
-        if self.stalled_until == u64::MAX {
+        if self.stalled_until == u64::MAX || self.is_halted {
             return Time::MAX;
         }
         if self.stalled_until > self.cycles {
@@ -514,10 +515,6 @@ impl Engine for Rsemu {
 
     fn sp(&self) -> u32 {
         self.cpu.regs().r[13]
-    }
-
-    fn record(&mut self, recorder: Recorder) {
-        self.recorder = Some(recorder);
     }
 }
 

@@ -346,6 +346,16 @@ fn test_shows_the_level_of_the_receive_pin() {
     assert_eq!(rig.problems(), []);
 }
 
+/// 44.4.4: it holds its reset value.
+#[test]
+fn a_write_to_test_is_ignored_while_cccr_test_is_0() {
+    let mut rig = Rig::fdcan();
+    rig.write(TEST, 1 << 4);
+    assert_eq!((rig.read(TEST), rig.problems()), (1 << 7, vec![]));
+    rig.write_all(&[(CCCR, INIT | CCE | 1 << 7), (TEST, 1 << 4)]);
+    assert_eq!(rig.read(TEST), 1 << 7 | 1 << 4);
+}
+
 /// 44.4.16 and 44.4.17.
 #[test]
 fn ils_chooses_the_line_and_ile_enables_it() {

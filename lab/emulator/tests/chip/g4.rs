@@ -3,7 +3,8 @@
 use emulator::{
     Time,
     can::Clock,
-    chip::{BusFault, Part, PowerCut, Problem, Request, ResetCause, Timing, Width},
+    chip::{BusFault, Part, Pin, PowerCut, Problem, Request, ResetCause, Timing, Width},
+    network::Short,
 };
 
 use crate::rig::Rig;
@@ -23,6 +24,8 @@ const ACR: u32 = 0x4002_2000;
 const KEYR: u32 = 0x4002_2008;
 const FLASH_SR: u32 = 0x4002_2010;
 const FLASH_CR: u32 = 0x4002_2014;
+const FLASH_ECCR: u32 = 0x4002_2018;
+const FLASH_OPTR: u32 = 0x4002_2020;
 const FLASH: u32 = 0x0800_0000;
 
 const PG: u32 = 1 << 0;
@@ -126,6 +129,19 @@ fn rcc_resets_a_timer_and_the_unique_id_has_its_place() {
     assert_eq!(rig.findings(), []);
 }
 
+/// The reset values of 3.7 and 9.4.1: the caches are on, and all pins but those of the debugger are analogue.
+#[test]
+fn flash_and_ports_have_the_values_of_the_manual_after_a_reset() {
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write(AHB2ENR, 0x7F);
+    let moder = [0, 1, 2, 3, 4, 5, 6].map(|port| rig.read(0x4800_0000 + 0x400 * port));
+    assert_eq!(moder[..2], [0xABFF_FFFF, 0xFFFF_FEBF]);
+    assert_eq!(moder[2..], [u32::MAX; 5]);
+    let flash = [ACR, FLASH_CR, FLASH_ECCR, FLASH_OPTR].map(|register| rig.read(register));
+    assert_eq!(flash, [0x0600, 0xC000_0000, 0, 0xFFEF_F8AA]);
+    assert_eq!(rig.findings(), []);
+}
+
 fn unlocked() -> Rig {
     let mut rig = Rig::new(Part::Stm32g431);
     rig.write_all(&[(KEYR, 0x4567_0123), (KEYR, 0xCDEF_89AB)]);
@@ -214,8 +230,9 @@ fn an_erase_sets_its_page_in_the_time_of_the_data_sheet() {
     assert_eq!(rig.read(FLASH_SR), PGSERR, "there is no page 64");
 }
 
+/// 3.3.4: a double error.
 #[test]
-fn an_interrupted_double_word_reads_as_before_as_new_or_as_anything() {
+fn an_interrupted_double_word_reads_as_before_as_new_or_as_an_error() {
     let value = 0x1122_3344_5566_7788;
     let mut kinds = [0; 3];
     for seed in 0..60 {
@@ -231,7 +248,98 @@ fn an_interrupted_double_word_reads_as_before_as_new_or_as_anything() {
             _ => 2,
         };
         kinds[kind] += 1;
+        rig.flash_mut().note_read(0x0FF8, 8);
+        rig.flash_mut().note_read(0x1008, 8);
+        assert!(!rig.nmi());
+        rig.flash_mut().note_read(0x1004, 1);
+        assert_eq!(rig.nmi(), kind == 2);
+        assert_eq!(rig.read(FLASH_ECCR), if kind == 2 { 1 << 31 | 0x1000 } else { 0 });
+        rig.write(FLASH_ECCR, 1 << 31);
+        assert!(!rig.nmi());
         assert_eq!(rig.double_word(0x1008), u64::MAX);
     }
     assert!(kinds.iter().all(|count| *count > 5), "{kinds:?}");
+}
+
+#[test]
+fn an_interrupted_erase_leaves_double_errors_until_the_next_erase() {
+    let mut rig = unlocked();
+    rig.flash_mut().load(0, &[0; 128 * 1024]);
+    rig.flash_mut().cut_power(PowerCut { operation: 0, seed: 1 });
+    let erase = [(FLASH_CR, PER | 3 << 3), (FLASH_CR, PER | 3 << 3 | STRT)];
+    rig.write_all(&erase);
+    let at = rig.next_event();
+    assert_eq!(rig.advance(at), Some(Request::PowerCut));
+    rig.at(at).reset_now(ResetCause::PowerOn);
+    let words: Vec<u32> = rig.flash().double_errors().collect();
+    assert!((50..200).contains(&words.len()), "{}", words.len());
+    assert!(words.iter().all(|word| (3 * 2048..4 * 2048).contains(word)));
+    rig.write_all(&[(KEYR, 0x4567_0123), (KEYR, 0xCDEF_89AB)]);
+    rig.write_all(&erase);
+    rig.finish();
+    assert_eq!(rig.flash().double_errors().count(), 0);
+}
+
+/// 10.2.7, SPF.
+#[test]
+fn an_error_of_the_parity_of_the_sram_is_an_nmi_until_spf_is_cleared() {
+    const SYSCFG_CFGR2: u32 = 0x4001_0018;
+    let mut rig = Rig::new(Part::Stm32g431);
+    rig.write(0x4002_1060, 1);
+    rig.fail_parity();
+    assert_eq!((rig.nmi(), rig.read(SYSCFG_CFGR2)), (true, 1 << 8));
+    rig.write(SYSCFG_CFGR2, 0);
+    assert!(rig.nmi());
+    rig.write(SYSCFG_CFGR2, 1 << 8);
+    assert_eq!((rig.nmi(), rig.findings().len()), (false, 0));
+}
+
+/// 2.6: nSWBOOT0 and nBOOT0 in FLASH_OPTR, and PB8.
+#[test]
+fn pb8_high_at_a_reset_starts_the_boot_loader_unless_nswboot0_is_0() {
+    const FACTORY: u32 = 0xFFEF_F8AA;
+    let by_option = FACTORY & !(1 << 26);
+    for (optr, level, stays) in [
+        (FACTORY, None, false),
+        (FACTORY, Some(false), false),
+        (FACTORY, Some(true), true),
+        (by_option, Some(true), false),
+        (by_option & !(1 << 27), Some(false), true),
+    ] {
+        let mut rig = Rig::new(Part::Stm32g431);
+        rig.flash_mut().set_option_register(optr);
+        rig.gpio_mut().set_input(Pin('B', 8), level);
+        assert_eq!(rig.read(FLASH_OPTR), optr);
+        rig.reset_now(ResetCause::Pin);
+        assert_eq!((rig.stays_in_loader(), rig.findings().len()), (stays, usize::from(stays)));
+        rig.gpio_mut().set_input(Pin('B', 8), Some(false));
+        rig.flash_mut().set_option_register(FACTORY);
+        rig.reset_now(ResetCause::Pin);
+        assert!(!rig.stays_in_loader());
+    }
+}
+
+/// A transceiver drives its receive pin high while the bus is recessive.
+#[test]
+fn a_program_that_receives_on_pb8_is_started_again_into_the_boot_loader() {
+    const GPIOA: u32 = 0x4800_0000;
+    const GPIOB: u32 = 0x4800_0400;
+    for (port, afrh, moder, is_boot0) in
+        [(GPIOB, 9, 0xFFFE_FEBF, true), (GPIOA, 9 << 12 | 9 << 16, 0xAA3F_FFFF, false)]
+    {
+        let mut rig = Rig::new(Part::Stm32g431);
+        rig.write_all(&[(AHB2ENR, 3), (port + 0x24, afrh), (port, moder)]);
+        let request = is_boot0.then_some(Request::Reset(ResetCause::PowerOn));
+        assert_eq!(rig.advance(Time::from_us(1)), request);
+        for cause in [ResetCause::PowerOn, ResetCause::Software] {
+            rig.reset_now(cause);
+            assert_eq!(rig.stays_in_loader(), is_boot0);
+        }
+        assert_eq!(rig.advance(Time::from_us(1)), None);
+        let now = rig.now;
+        rig.buses[0].0.set_short(Some(Short::Dominant), now);
+        rig.run_us(1);
+        rig.reset_now(ResetCause::Software);
+        assert!(!rig.stays_in_loader(), "the bus is dominant");
+    }
 }

@@ -1,6 +1,6 @@
 //! CAN drivers of others on the emulated chip: each property is shown by the driver of embassy-stm32 and by bxcan.
 //!
-//! The programs are those of `emulator/foreign/`.
+//! The programs are those of `lab/emulator/foreign/`.
 
 #[path = "../../foreign/src/command.rs"]
 #[allow(dead_code, reason = "the programs use the rest")]

@@ -1,7 +1,8 @@
 //! A board whose program has a CAN driver of others, remotely controlled through its RAM, and an adapter on its bus.
 
-use std::{collections::BTreeMap, env, path::Path, process::Command as Process, sync::Mutex};
+use std::{collections::BTreeMap, env, path::PathBuf, sync::Mutex};
 
+use chip_build::{TARGET, cargo_for_the_chip};
 use emulator::{
     Time,
     board::{Board, Settings},
@@ -37,7 +38,7 @@ const PATIENCE: Time = Time::from_ms(50);
 /// The time between two looks at the program's answer.
 const LOOK: Time = Time::from_us(2);
 
-/// The driver of a program of `emulator/foreign/`.
+/// The driver of a program of `lab/emulator/foreign/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Driver {
     /// The driver of embassy-stm32.
@@ -48,7 +49,7 @@ pub enum Driver {
     Fdcan,
 }
 
-/// A program of `emulator/foreign/`, which is built once.
+/// A program of `lab/emulator/foreign/`, which is built once.
 pub fn image(program: &'static str, feature: &str) -> &'static Image {
     static IMAGES: Mutex<BTreeMap<&str, &Image>> = Mutex::new(BTreeMap::new());
     let mut images = IMAGES.lock().expect("the programs build");
@@ -56,22 +57,18 @@ pub fn image(program: &'static str, feature: &str) -> &'static Image {
 }
 
 fn build(program: &str, feature: &str) -> Image {
-    let directory = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let target = directory.join("../target/foreign");
-    let status = Process::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .current_dir(directory.join("foreign"))
-        .args(["build", "--quiet", "--locked", "--release", "--target", "thumbv7em-none-eabihf"])
+    let directory = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo runs this"));
+    let target = directory.join("../../target/foreign");
+    let status = cargo_for_the_chip(&directory.join("foreign"), "build")
+        .expect("the compiler has the library for the chip")
+        .args(["--quiet", "--locked", "--release"])
         .args(["--features", feature, "--bin", program])
         .arg("--target-dir")
         .arg(&target)
-        // The host build's settings are not meant for the program.
-        .env_remove("RUSTFLAGS")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS")
-        .env_remove("CARGO_BUILD_TARGET")
         .status()
         .expect("cargo runs");
-    assert!(status.success(), "emulator/foreign/src/bin/{program}.rs does not build");
-    Image::load(target.join("thumbv7em-none-eabihf/release").join(program)).expect("an image")
+    assert!(status.success(), "lab/emulator/foreign/src/bin/{program}.rs does not build");
+    Image::load(target.join(TARGET).join("release").join(program)).expect("an image")
 }
 
 /// An adapter with its sample point at 75 %.

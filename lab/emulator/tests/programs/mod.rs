@@ -29,10 +29,10 @@ pub struct Program {
 }
 
 impl Program {
-    /// A program that starts with the next instruction, with its stack at the end of the first 64 KB of RAM.
+    /// A program that starts with the next instruction, with its stack at the end of the first 32 KB of RAM.
     pub fn new() -> Self {
         let mut vectors = [0; VECTORS];
-        vectors[0] = RAM + 0x1_0000;
+        vectors[0] = RAM + 0x8000;
         vectors[1] = FLASH + 4 * VECTORS as u32 + 1;
         Self { vectors, code: Vec::new() }
     }

@@ -15,19 +15,19 @@ use canopen_node::{
 use emulator::{Time, chip::PowerCut};
 
 use crate::{
+    boards::Variant,
     flash::BoardFlash,
     frames::of_master,
     image_rig::{
         DEFAULT_BIT_RATE, ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings,
     },
     random::Random,
-    sessions::Variant,
 };
 
 /// The time-out for an answer; a store takes 1 ms.
 const PATIENCE: Time = Time::from_ms(20);
-/// The number of places in a half of the flash.
-const PLACES: u16 = 512;
+/// The number of places in a half of the flash that stores use.
+const PLACES: u16 = 409 - 8;
 /// What a master stores in the default image, one after the other.
 const COMMISSIONINGS: [Store; 2] =
     [Store::Settings(5, BitRate::Kbit500), Store::Settings(6, BitRate::Kbit250)];
@@ -99,8 +99,8 @@ impl Content {
     /// this content.
     fn in_use_until(self, last: u16, has_parameters: bool) -> Vec<u8> {
         let (mut log, _) = Log::<_, PACKED>::open_with_parameters(BoardFlash::blank(0));
-        // The mark and the record of the defaults.
-        let mut places = 2;
+        // The records of the defaults.
+        let mut places = 3;
         if has_parameters {
             let mut packed = [0; PACKED];
             let mut packer = Packer::new(&mut packed);

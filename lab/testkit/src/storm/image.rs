@@ -22,11 +22,12 @@ use super::{NODE_ID, RATE, Stormed, Target, is_pdo, lss_data, next};
 use crate::{
     flash::BoardFlash,
     frames::{self, Frames},
-    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, from_the_wire, on_the_wire, settings},
+    image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
     node_rig::NodeRig,
     random::Random,
     sdo::Client,
     stack,
+    wire::{from_the_wire, on_the_wire},
 };
 
 /// The most frames without a pause; then answers and flash are compared.

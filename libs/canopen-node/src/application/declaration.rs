@@ -1,5 +1,8 @@
 //! The macro that declares the objects of a product, and the checks of a declaration at compile time.
 
+#[cfg(doctest)]
+mod refused;
+
 use crate::{
     declaration_error::DeclarationError,
     object_dictionary::{Access, DataType, Entry, Object, row},
@@ -225,159 +228,9 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// [`Domain`]: crate::application::Domain
 ///
 /// # What does not compile
-/// Each of these declarations is wrong in one place; its twin differs from it in that place only.
-///
-/// An object that occurs twice:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
-/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
-/// 0x2101 { 0 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// A sub-index that occurs twice:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// Objects that are not sorted:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
-/// 0x2100 { 0 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
-/// 0x2102 { 0 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// An index of the node (2000h and below) or of nobody (above 9FFFh):
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2000 { 0 "Speed" speed: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2001 { 0 "Speed" speed: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// A sub-index beside 0 of an object without a name:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 1 "Speed" speed: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// A value with sub-index 0 and another beside it:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
-/// # }
-/// ```
-///
-/// A default out of its limits:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: u16 = 101, rw in 0..=100; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: u16 = 100, rw in 0..=100; }
-/// # }
-/// ```
-///
-/// An array with another number of sub-indices:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Speeds" { 1..=3 "Speed" speeds: [u16; 2] = [0; 2], rw; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0; 2], rw; }
-/// # }
-/// ```
-///
-/// A default of an array out of its limits:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 101], rw in 0..=100; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 100], rw in 0..=100; }
-/// # }
-/// ```
-///
-/// A limit out of the range of the type:
-/// ```compile_fail,E0080
-/// # use canopen_node::application::Unsigned24;
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_216; }
-/// # }
-/// ```
-/// ```
-/// # use canopen_node::application::Unsigned24;
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_215; }
-/// # }
-/// ```
-///
-/// A text that is mapped into a PDO:
-/// ```compile_fail,E0080
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Label" label: &'static str = "", ro, mappable; }
-/// # }
-/// ```
-/// ```
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Label" label: &'static str = "", ro; }
-/// # }
-/// ```
-///
-/// A stored domain:
-/// ```compile_fail,E0080
-/// # use canopen_node::application::Domain;
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Log" log: Domain = Domain, ro, stored; }
-/// # }
-/// ```
-/// ```
-/// # use canopen_node::application::Domain;
-/// # canopen_node::objects! { struct Objects, values Value;
-/// 0x2100 { 0 "Log" log: Domain = Domain, ro; }
-/// # }
-/// ```
+/// The build ends with the object and the fault: an index outside of 2001h to 9FFFh, objects that are not sorted or
+/// declared twice, sub-indices without a name, a default or a limit out of range, an array with another number of
+/// sub-indices, and a mapped text or a stored domain.
 #[macro_export]
 macro_rules! objects {
     (

@@ -5,7 +5,7 @@ use core::mem;
 use crate::{
     Frame, Instant, NodeId,
     application::Event,
-    emergency::{COMMUNICATION, Emergency},
+    emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
     object_dictionary::{
         Access::{Const, ReadWrite},
@@ -93,14 +93,14 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
     pub fn next_lost(&mut self, errors: &mut Emergency, now: Instant) -> Option<NodeId> {
         let at = self.watches.iter_mut().position(|watch| watch.poll(now))?;
         let lost = self.producers.0.get(at)?.node()?;
-        errors.report(LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
+        errors.report(PROCESS_DATA, LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
         Some(lost)
     }
 
     /// Ends the error of a missing heartbeat, if none is missing.
     pub fn end_errors(&self, errors: &mut Emergency) {
         if !self.watches.iter().any(Watch::is_lost) {
-            errors.end(LOST);
+            errors.end(PROCESS_DATA, LOST);
         }
     }
 

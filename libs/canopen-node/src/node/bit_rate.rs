@@ -1,6 +1,6 @@
 //! Switch and supervision of the bit rate, as parts of the node.
 
-use super::{Action, Node, Tasks};
+use super::{Action, Node, Task, Tasks};
 use crate::{
     Application, Instant,
     bit_rate::{self, Step},
@@ -14,17 +14,16 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     pub(super) fn next_step(&mut self, now: Instant) -> Option<Action> {
         use bit_rate::Next::*;
         loop {
-            let next = self.bit_rate.poll(now);
+            let next = self.bit_rate.poll(self.lss.state(), now);
             self.follow_bit_rate();
             // The NMT state is known.
             let _ = self.inform();
             match next {
-                Some(StopTransmitting) => {
-                    self.periodic.note_dropped();
-                    return Some(Action::StopTransmitting);
-                }
+                Some(StopTransmitting) => return Some(Action::StopTransmitting),
                 Some(Activate { silent_until }) => self.activate_bit_rate(silent_until),
                 Some(EndSwitch) => {
+                    // By now the frame has left that was on the bus when the others were dropped.
+                    self.note_dropped();
                     self.nmt.restart_heartbeat(now);
                     self.product.communication.restart(now);
                 }
@@ -42,8 +41,11 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 None => break,
             }
         }
-        let may_send = self.bit_rate.may_send();
-        self.agenda.hold(if may_send { Tasks::NONE } else { Tasks::SENDING });
+        self.agenda.hold(match self.bit_rate.may_send() {
+            true if self.bit_rate.is_guest() => Tasks::of(&[Task::Pdos]),
+            true => Tasks::NONE,
+            false => Tasks::SENDING,
+        });
         None
     }
 
@@ -70,9 +72,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Carries out a step of the supervision, which drops the pending frames.
     fn take_step(&mut self, step: Step) -> Action {
         self.end_sdo_transfer();
-        self.emergency.note_dropped();
-        self.nmt.note_dropped();
-        self.periodic.note_dropped();
+        self.note_dropped();
         match step {
             Step::TakePart(rate) => Action::SetBitRate(rate),
             Step::Listen(rate) => {

@@ -139,7 +139,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 
     /// Ends the errors that are no longer present.
     pub fn end_errors(&self, errors: &mut Emergency) {
-        if Self::IS_USED && errors.has_reports() {
+        if Self::IS_USED && errors.has_process_data_errors() {
             self.pdos.end_errors(errors);
             self.consumer.end_errors(errors);
         }
@@ -209,7 +209,8 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     /// Begins a store of the current parameters.
     pub fn stage(&mut self, error_behaviour: ErrorBehaviour, emergency: emergency::Configuration) {
         let (pdos, producers) = (*self.pdos.configuration(), *self.consumer.producers());
-        self.staged = Some(Configuration { pdos, producers, error_behaviour, emergency });
+        let current = Configuration { pdos, producers, error_behaviour, emergency };
+        self.staged.insert(current).pdos.remove_unused();
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.

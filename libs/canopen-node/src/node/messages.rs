@@ -32,10 +32,18 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         self.emergency.configure(communication.emergency());
         communication.reset();
         self.storing.verification.reset();
-        self.periodic.note_dropped();
+        self.note_dropped();
         self.end_sdo();
+        self.bit_rate.note_asked();
         self.agenda.add(Tasks::ALL);
         Action::SetNodeId(self.node_id())
+    }
+
+    /// Records that the board has dropped the pending frames.
+    pub(super) fn note_dropped(&mut self) {
+        self.emergency.note_dropped();
+        self.nmt.note_dropped();
+        self.periodic.note_dropped();
     }
 
     /// Locks or releases LSS after a possible change of the NMT state.
@@ -92,15 +100,19 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// Returns the next boot-up, emergency message or heartbeat.
     pub(super) fn next_message(&mut self, now: Instant) -> Option<Action> {
         self.emergency.end_inhibit_time(now);
-        let node = self.node_id()?;
+        let node = self.node_id().filter(|_| self.bit_rate.may_report())?;
         if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
             self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
             return Some(Action::Transmit(boot_up));
         }
+        let is_guest = self.bit_rate.is_guest();
         if self.nmt.allows_emergencies()
-            && let Some(emergency) = self.emergency.next(node, now)
+            && let Some(emergency) = self.emergency.next(node, is_guest, now)
         {
             return Some(Action::Transmit(emergency));
+        }
+        if is_guest {
+            return None;
         }
         let due_since = self.nmt.heartbeat_due_since(now)?;
         let tpdo = self.product.communication.pdos.first_timed_out(now);

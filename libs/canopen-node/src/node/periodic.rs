@@ -55,13 +55,6 @@ impl Periodic {
         *self = Self::Free;
     }
 
-    /// Records that the board has dropped the PDOs.
-    pub fn note_pdos_dropped(&mut self) {
-        if let Self::Waiting { sender: Sender::Tpdo, .. } = self {
-            *self = Self::Free;
-        }
-    }
-
     /// Whether a service may send at `now`.
     pub fn is_free(&self, now: Instant) -> bool {
         self.postpone(now, now) == Some(now)

@@ -19,7 +19,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let Self { product, emergency, .. } = self;
         let application = &mut product.application;
         let has_deadline = product.communication.handle_frame(frame, application, emergency, now);
-        if has_deadline || emergency.has_reports() {
+        if has_deadline || emergency.has_process_data_errors() {
             self.agenda.add(Tasks::of(&[Task::Producers, Task::Messages]));
         }
         self.note_values();
@@ -42,11 +42,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let has_left_operational = self.product.inform(state, rate, node);
         self.agenda.add(Tasks::of(&[Task::Producers]));
         self.note_values();
-        if !has_left_operational || TPDOS == 0 {
-            return None;
-        }
-        self.periodic.note_pdos_dropped();
-        Some(Action::DropPdos)
+        (has_left_operational && TPDOS > 0).then_some(Action::DropPdos)
     }
 
     /// Reports producers whose heartbeat is missing and RPDOs that are late, and ends the errors of process data that are
@@ -65,7 +61,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             agenda.add(Tasks::of(&[Task::Pdos]));
         }
         product.communication.end_errors(emergency);
-        if emergency.has_reports() {
+        if emergency.has_process_data_errors() {
             agenda.add(Tasks::of(&[Task::Messages]));
         }
         if is_any_lost {

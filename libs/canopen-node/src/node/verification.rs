@@ -58,9 +58,12 @@ impl Verification {
         }
     }
 
-    /// Begins a store of the current stamp.
-    pub const fn stage(&mut self) {
-        self.staged = self.current;
+    /// Begins a store by this sub-index of 1010h or 1011h. A store of a part leaves changes of the other part unstored, so
+    /// that no new stamp is right.
+    pub fn stage(&mut self, sub_index: u8) {
+        const ALL: u8 = 1;
+        let is_right = sub_index == ALL || self.current == self.persistent;
+        self.staged = if is_right { self.current } else { Stamp::NONE };
     }
 
     /// Ends the store in progress.

@@ -1,5 +1,8 @@
 //! The declaration of a product's PDOs: their parameters and their mapping in a new device.
 
+#[cfg(doctest)]
+mod refused;
+
 /// A TPDO as a new device has it: the mapped values of the application, and when they are sent.
 ///
 /// ```
@@ -7,110 +10,6 @@
 ///
 /// const INPUTS: Tpdo = Tpdo::new(&[(0x6000, 1), (0x6000, 2)]).with_inhibit_time(100).with_event_timer(1000);
 /// # let _ = INPUTS;
-/// ```
-///
-/// # What does not compile
-/// A mapping whose values do not exist:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 4)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-///
-/// A value that is not mappable, or only in the other direction:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 2)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-///
-/// More than eight bytes:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6000, 1)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-///
-/// More TPDOs than the node has:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]), Tpdo::new(&[])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-///
-/// A transmission type with remote frames:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(253)];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-///
-/// Without these faults:
-/// ```
-/// # use canopen_node::{Application, Node, pdo::Tpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(254)];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -175,34 +74,6 @@ impl Tpdo {
 }
 
 /// An RPDO as a new device has it: the mapped values of the application, and when they take effect.
-///
-/// A value that only the device writes does not compile:
-/// ```compile_fail,E0080
-/// # use canopen_node::{Application, Node, pdo::Rpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 1)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
-/// ```
-/// # use canopen_node::{Application, Node, pdo::Rpdo};
-/// # canopen_node::objects! { struct Machine, values MachineValue;
-/// # 0x6000 "Values" {
-/// #     1 "Input" input: u64 = 0, ro, mappable;
-/// #     2 "Output" output: u8 = 0, wo, mappable;
-/// #     3 "Private" private: u8 = 0, rw;
-/// # } }
-/// # impl Application for Machine {
-/// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 2)])];
-/// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
-/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Rpdo {

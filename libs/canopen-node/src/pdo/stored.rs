@@ -28,6 +28,12 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
             + TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
 
+    /// Removes what is not stored: the entries of mappings that the PDO does not carry.
+    pub fn remove_unused(&mut self) {
+        let pdos = self.tpdos.iter_mut().chain(&mut self.rpdos);
+        pdos.for_each(|pdo| pdo.mapping.remove_unused());
+    }
+
     /// Packs the parameters of SYNC.
     pub fn save_sync(&self, to: &mut Packer<'_>) {
         if Pdos::<TPDOS, RPDOS>::IS_USED {

@@ -3,7 +3,7 @@
 use core::mem;
 
 use super::{
-    BitRate, BitRateSetting, BitRates, BusEvent, GUEST_ERROR_CODE,
+    BitRate, BitRateSetting, BitRates, BusEvent,
     supervision::{Step, Supervision},
 };
 use crate::{Frame, Instant, cob_id, lss};
@@ -127,6 +127,16 @@ impl Control {
         self.supervision.may_send()
     }
 
+    /// Whether the node may report itself by a boot-up or an emergency message. A guest does so once it was asked.
+    pub const fn may_report(&self) -> bool {
+        self.supervision.may_report()
+    }
+
+    /// Whether the node is a guest at a rate that it has found. It only answers requests there, and sends no heartbeat.
+    pub const fn is_guest(&self) -> bool {
+        self.supervision.is_guest()
+    }
+
     /// Whether the home rate is proven and no switch runs. Until the next [`switch`](Self::switch) no frame, event or
     /// time makes a difference.
     pub const fn is_settled(&self) -> bool {
@@ -147,11 +157,6 @@ impl Control {
         // A sender repeats its frame until someone acknowledges it.
         let is_acknowledged = !self.is_listening();
         self.handle_bus(BusEvent::Received, now);
-        if is_request(frame) {
-            self.supervision.note_request(now);
-        } else if is_guest(frame) {
-            self.supervision.note_guest(now);
-        }
         is_acknowledged
     }
 
@@ -167,6 +172,11 @@ impl Control {
     /// Records that the node has sent a frame.
     pub fn note_sent(&mut self, now: Instant) {
         self.supervision.note_sent(now);
+    }
+
+    /// Records a request that the node will answer: as a guest it may report itself before.
+    pub const fn note_asked(&mut self) {
+        self.supervision.note_asked();
     }
 
     /// Begins the switch to the pending bit rate, with two delays of `delay_ms` milliseconds.
@@ -191,8 +201,9 @@ impl Control {
         self.supervision.take_change()
     }
 
-    /// The next step at `now`; `None` if the bit rate requires none and the node may do other work.
-    pub fn poll(&mut self, now: Instant) -> Option<Next> {
+    /// The next step at `now` in this LSS state; `None` if the bit rate requires none and the node may do other work.
+    pub fn poll(&mut self, state: lss::State, now: Instant) -> Option<Next> {
+        self.supervision.note_session(state == lss::State::Configuration);
         // A detection that the switch has begun may complete within it.
         if (self.is_supervised() || self.supervision.has_step())
             && let Some(step) = self.supervision.poll(now)
@@ -247,19 +258,7 @@ impl Control {
     }
 }
 
-/// Whether a master has sent the frame.
-fn is_request(frame: &Frame) -> bool {
-    matches!(frame.cob_id(), lss::REQUEST_COB_ID | cob_id::NMT_COMMAND | cob_id::SYNC)
-        || frame.cob_id() & !0x7F == cob_id::SDO_REQUEST
-}
-
 /// Whether the frame is the boot-up of a node.
 fn is_boot_up(frame: &Frame) -> bool {
     frame.cob_id() & !0x7F == cob_id::ERROR_CONTROL && matches!(frame.data(), [0])
-}
-
-/// Whether a node tells that it has become a guest, by an emergency message.
-fn is_guest(frame: &Frame) -> bool {
-    let is_emergency = frame.cob_id() & !0x7F == cob_id::EMERGENCY;
-    is_emergency && frame.data().starts_with(&GUEST_ERROR_CODE.to_le_bytes())
 }

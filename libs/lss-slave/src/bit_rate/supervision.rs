@@ -3,7 +3,7 @@
 //! The *home* rate is the one last commanded: stored at power-on, or activated since. It is *proven* once a valid frame
 //! was received at it, or a frame of the node acknowledged. A proven home is never left. From an unproven one the node
 //! searches at the first error: it listens silently at one rate after another. A valid frame makes it a *guest*, which
-//! takes part at the rate found and visits home from time to time.
+//! takes part at the rate found, but speaks only when it is spoken to.
 
 use super::{BitRate, BitRateSetting, BitRates, BusEvent};
 use crate::Instant;
@@ -21,8 +21,9 @@ pub enum Step {
 
 /// The time after a switch in which only the commanded rate is used.
 const TRUST_MICROS: u32 = 30_000_000;
-/// The time for which an unacknowledged frame is repeated at an unproven home, and the least and the additional pause
-/// that follows. Without it a slower node never sees the 11 recessive bits that let it join the bus.
+/// The time for which an unacknowledged frame is repeated at an unproven home or by a guest, and the least and the
+/// additional pause that follows at home. Without it a slower node never sees the 11 recessive bits that let it
+/// join the bus.
 const REPEAT_MICROS: u32 = 100_000;
 const PAUSE_MICROS: u32 = 400_000;
 const PAUSE_STEP_MICROS: u32 = 1_000;
@@ -37,16 +38,12 @@ const MOST_STAYS: u8 = 8;
 const TURN_MICROS: u32 = 30_000;
 const TURN_FRAMES: u32 = 18;
 const FRAME_BITS: u32 = 135;
-/// The time for which a visitor takes part at home: that of two heartbeats.
-const TRIAL_BITS: u32 = 160;
-/// The number of errors without a valid frame after which the node no longer takes part as a guest or a visitor.
+/// The number of errors without a valid frame after which a guest leaves.
 const MOST_ERRORS: u8 = 2;
-/// The time for which a guest waits for an acknowledge. Its repeated frame keeps the boards at home from the bus.
-const ACKNOWLEDGE_MICROS: u32 = 100_000;
-/// The first and the longest time from joining to a visit, and the step of its shift by the serial number.
-const FIRST_VISIT_SECONDS: u8 = 2;
-const LAST_VISIT_SECONDS: u8 = 64;
-const SHIFT_MICROS: u32 = 2_000;
+/// The time without a valid frame after which a guest leaves, and the same in LSS configuration state: a person may
+/// pause in a session.
+const SILENCE_MICROS: u32 = 2_000_000;
+const SESSION_MICROS: u32 = 64_000_000;
 
 /// The supervision, which chooses the node's bit rate.
 #[derive(Clone, Debug)]
@@ -71,9 +68,12 @@ pub(super) struct Supervision {
     has_moved: bool,
     /// The stays of the search.
     stays: u8,
-    visit_at: Instant,
-    /// The time from the next joining to the visit.
-    visit_seconds: u8,
+    /// The time of the latest valid frame that a guest has received, or had acknowledged.
+    heard_at: Instant,
+    /// The node is in LSS configuration state.
+    is_in_session: bool,
+    /// The guest has answered a request, or will.
+    is_asked: bool,
     /// The step that [`poll`](Self::poll) returns next.
     step: Option<Step>,
     /// The rate at which the node last took part, as returned by [`take_change`](Self::take_change).
@@ -88,18 +88,14 @@ enum Place {
     Home,
     /// Takes part at home but sends nothing, since nobody acknowledges.
     Pause,
-    /// Listens at the next rate of the round, home among them.
-    Stay,
-    /// Listens at home between two stays.
-    Turn,
-    /// Takes part at the rate found.
-    Guest,
-    /// Listens at home as a guest.
-    Visit,
-    /// Takes part at home as a guest.
-    Trial,
+    /// Listens at the next rate of the round, home among them: a stay.
+    ListenInRound,
+    /// Listens at home between two stays: a turn of home.
+    ListenAtHome,
     /// Listens to detect a home rate.
-    Detection,
+    ListenToDetect,
+    /// Takes part at the rate found, and only answers.
+    Guest,
 }
 
 impl Supervision {
@@ -109,7 +105,7 @@ impl Supervision {
         let (home, place, step) = match setting {
             BitRateSetting::Fixed(rate) => (rate, Place::Home, None),
             BitRateSetting::Automatic => {
-                (rates.fastest(), Place::Detection, Some(Step::Listen(rates.fastest())))
+                (rates.fastest(), Place::ListenToDetect, Some(Step::Listen(rates.fastest())))
             }
         };
         Self {
@@ -126,8 +122,9 @@ impl Supervision {
             found: home,
             has_moved: false,
             stays: 0,
-            visit_at: Instant::from_micros(0),
-            visit_seconds: FIRST_VISIT_SECONDS,
+            heard_at: Instant::from_micros(0),
+            is_in_session: false,
+            is_asked: false,
             step,
             active: home,
             rescues: 0,
@@ -142,8 +139,8 @@ impl Supervision {
     /// The bit rate at which the controller runs or listens.
     pub const fn bit_rate(&self) -> BitRate {
         match self.place {
-            Place::Home | Place::Pause | Place::Turn | Place::Visit | Place::Trial => self.home,
-            Place::Stay | Place::Guest | Place::Detection => self.found,
+            Place::Home | Place::Pause | Place::ListenAtHome => self.home,
+            Place::ListenInRound | Place::ListenToDetect | Place::Guest => self.found,
         }
     }
 
@@ -164,7 +161,7 @@ impl Supervision {
 
     /// Whether the controller listens silently.
     pub const fn is_listening(&self) -> bool {
-        matches!(self.place, Place::Stay | Place::Turn | Place::Visit | Place::Detection)
+        matches!(self.place, Place::ListenInRound | Place::ListenAtHome | Place::ListenToDetect)
     }
 
     /// Whether the node may send frames.
@@ -172,9 +169,19 @@ impl Supervision {
         !self.is_listening() && !matches!(self.place, Place::Pause)
     }
 
+    /// Whether the node takes part at a rate that it has found.
+    pub const fn is_guest(&self) -> bool {
+        matches!(self.place, Place::Guest)
+    }
+
+    /// Whether the node may report itself, which a guest only does once it was asked.
+    pub const fn may_report(&self) -> bool {
+        self.may_send() && (!self.is_guest() || self.is_asked)
+    }
+
     /// Whether automatic detection has not found a rate yet.
     pub const fn is_detecting(&self) -> bool {
-        matches!(self.place, Place::Detection)
+        matches!(self.place, Place::ListenToDetect)
     }
 
     /// Whether an event requires a step that has not been taken.
@@ -189,7 +196,7 @@ impl Supervision {
 
     /// Whether the controller listens in a search, at a rate other than home.
     pub fn is_elsewhere(&self) -> bool {
-        self.place == Place::Stay && self.found != self.home
+        self.place == Place::ListenInRound && self.found != self.home
     }
 
     /// The rate at which the node takes part, if it differs from the last one returned or commanded: the node has
@@ -226,31 +233,27 @@ impl Supervision {
     /// Begins automatic detection.
     pub fn detect(&mut self) {
         self.found = self.rates.fastest();
-        self.enter(Place::Detection, None);
+        self.enter(Place::ListenToDetect, None);
         self.step = Some(Step::Listen(self.found));
         self.trusted_until = None;
     }
 
-    /// Records that the node has sent a frame.
+    /// Records that the node has sent a frame; that of a guest is an answer.
     pub fn note_sent(&mut self, now: Instant) {
-        let micros = match self.place {
-            Place::Home if !self.is_proven => REPEAT_MICROS,
-            Place::Guest => ACKNOWLEDGE_MICROS,
-            _ => return,
-        };
-        self.until.get_or_insert(now.plus_micros(micros));
+        self.is_asked = true;
+        if self.is_guest() || self.place == Place::Home && !self.is_proven {
+            self.until.get_or_insert(now.plus_micros(REPEAT_MICROS));
+        }
     }
 
-    /// Records a request of a master: its network keeps a guest for a while.
-    pub fn note_request(&mut self, now: Instant) {
-        self.visit_seconds = LAST_VISIT_SECONDS;
-        self.plan_visit(now);
+    /// Records a request that the node will answer.
+    pub const fn note_asked(&mut self) {
+        self.is_asked = true;
     }
 
-    /// Records that another node has become a guest: unless both visit home at the same time, they keep each other.
-    pub fn note_guest(&mut self, now: Instant) {
-        self.visit_seconds = FIRST_VISIT_SECONDS;
-        self.plan_visit(now);
+    /// Records whether the node is in LSS configuration state.
+    pub const fn note_session(&mut self, is_in_session: bool) {
+        self.is_in_session = is_in_session;
     }
 
     /// Handles an observation of the controller.
@@ -276,9 +279,9 @@ impl Supervision {
 
     fn handle_valid(&mut self, now: Instant) {
         match self.place {
-            Place::Guest => (self.errors, self.until) = (0, None),
-            Place::Stay if self.found != self.home => self.join(now),
-            Place::Detection => {
+            Place::Guest => (self.errors, self.until, self.heard_at) = (0, None, now),
+            Place::ListenInRound if self.found != self.home => self.join(now),
+            Place::ListenToDetect => {
                 self.home = self.found;
                 self.active = self.found;
                 self.prove();
@@ -299,10 +302,8 @@ impl Supervision {
                 self.stays = 0;
                 self.stay(now);
             }
-            Place::Guest if self.errors >= MOST_ERRORS => self.take_turn(now),
-            Place::Trial if self.errors >= MOST_ERRORS => self.stay(now),
-            Place::Visit if leads_on => self.stay(now),
-            Place::Stay | Place::Detection => {
+            Place::Guest if self.errors >= MOST_ERRORS => self.take_turn(true, now),
+            Place::ListenInRound | Place::ListenToDetect => {
                 let end = now.plus_micros(HEARD_MICROS);
                 self.until = Instant::earliest(self.until, Some(end));
                 if leads_on {
@@ -322,10 +323,8 @@ impl Supervision {
             if is_over(self.trusted_until) {
                 self.trusted_until = None;
             }
-            if is_over(self.until) {
+            if is_over(self.until) || is_over(self.silence_end()) {
                 self.end_stay(now);
-            } else if self.place == Place::Guest && self.visit_at.has_come(now) {
-                self.listen_at_home(Place::Visit, now);
             }
         }
         self.step.take()
@@ -333,8 +332,13 @@ impl Supervision {
 
     /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
-        let visit = (self.place == Place::Guest).then_some(self.visit_at);
-        Instant::earliest(Instant::earliest(self.until, visit), self.trusted_until)
+        Instant::earliest(Instant::earliest(self.until, self.silence_end()), self.trusted_until)
+    }
+
+    /// The time at which a guest leaves if it hears nothing.
+    fn silence_end(&self) -> Option<Instant> {
+        let micros = if self.is_in_session { SESSION_MICROS } else { SILENCE_MICROS };
+        self.is_guest().then(|| self.heard_at.plus_micros(micros))
     }
 
     fn end_stay(&mut self, now: Instant) {
@@ -345,25 +349,19 @@ impl Supervision {
                 self.step = Some(Step::DropFrames);
             }
             Place::Pause => self.enter(Place::Home, None),
-            Place::Stay => {
+            Place::ListenInRound => {
                 self.advance();
-                self.take_turn_after(has_heard, now);
+                self.take_turn(has_heard, now);
             }
-            Place::Turn if has_heard && self.stays < MOST_STAYS => self.stay(now),
-            Place::Turn => self.stay_home(),
-            Place::Guest => self.take_turn(now),
-            Place::Visit => {
-                let end = now.plus_micros(bits_micros(TRIAL_BITS, self.home));
-                self.enter(Place::Trial, Some(end));
-                self.step = Some(Step::TakePart(self.home));
-            }
-            Place::Trial => self.stay(now),
-            Place::Detection if has_heard => {
+            Place::ListenAtHome if has_heard && self.stays < MOST_STAYS => self.stay(now),
+            Place::ListenAtHome => self.stay_home(),
+            Place::Guest => self.take_turn(false, now),
+            Place::ListenToDetect if has_heard => {
                 self.advance();
-                self.enter(Place::Detection, Some(now.plus_micros(STAY_MICROS)));
+                self.enter(Place::ListenToDetect, Some(now.plus_micros(STAY_MICROS)));
                 self.step = Some(Step::Listen(self.found));
             }
-            Place::Detection => self.detect(),
+            Place::ListenToDetect => self.detect(),
         }
     }
 
@@ -387,18 +385,8 @@ impl Supervision {
     /// Becomes a guest.
     fn join(&mut self, now: Instant) {
         self.enter(Place::Guest, None);
-        self.stays = 0;
+        (self.stays, self.is_asked, self.heard_at) = (0, false, now);
         self.step = Some(Step::TakePart(self.found));
-        if self.found != self.active {
-            self.visit_seconds = FIRST_VISIT_SECONDS;
-        }
-        self.plan_visit(now);
-        self.visit_seconds = LAST_VISIT_SECONDS.min(self.visit_seconds.saturating_mul(2));
-    }
-
-    fn plan_visit(&mut self, now: Instant) {
-        let shift = SHIFT_MICROS * (self.serial_number & 7);
-        self.visit_at = now.plus_micros(u32::from(self.visit_seconds) * 1_000_000 + shift);
     }
 
     /// Takes part at home for good.
@@ -417,24 +405,17 @@ impl Supervision {
 
     /// Listens at the next rate of the round.
     fn stay(&mut self, now: Instant) {
-        self.enter(Place::Stay, Some(now.plus_micros(STAY_MICROS)));
+        self.enter(Place::ListenInRound, Some(now.plus_micros(STAY_MICROS)));
         self.stays = self.stays.saturating_add(1);
         self.step = Some(Step::Listen(self.found));
     }
 
-    /// Listens at home, and then at the guest's rate again.
-    fn take_turn(&mut self, now: Instant) {
-        self.take_turn_after(true, now);
-    }
-
-    fn take_turn_after(&mut self, has_heard: bool, now: Instant) {
-        self.listen_at_home(Place::Turn, now);
+    /// Listens at home, and then at the next rate if there was an error at the last one, or is one at home.
+    fn take_turn(&mut self, has_heard: bool, now: Instant) {
+        let micros =
+            TURN_MICROS + TURN_FRAMES * FRAME_BITS * 1000 / u32::from(self.home.kbit_per_s());
+        self.enter(Place::ListenAtHome, Some(now.plus_micros(micros)));
         self.errors = has_heard.into();
-    }
-
-    fn listen_at_home(&mut self, place: Place, now: Instant) {
-        let micros = TURN_MICROS + bits_micros(TURN_FRAMES * FRAME_BITS, self.home);
-        self.enter(place, Some(now.plus_micros(micros)));
         self.step = Some(Step::Listen(self.home));
     }
 
@@ -446,8 +427,4 @@ impl Supervision {
         let slower = offered.find(|other| other.kbit_per_s() < rate.kbit_per_s());
         slower.unwrap_or(self.rates.fastest())
     }
-}
-
-const fn bits_micros(bits: u32, rate: BitRate) -> u32 {
-    bits * 1000 / rate.kbit_per_s() as u32
 }

@@ -4,32 +4,57 @@
 //! # The promise
 //! Whenever the power fails, the next [`Log::open`] finds the settings and parameters of the last [`Log::store`] that
 //! returned `Ok`, or those of a later one that did not return; never older ones, never a mix. The result of an `open`
-//! holds until the next store. Six rules ensure this for as many as 255 starts in a row that are cut:
-//! - A record is valid with its CRC, which is written after the rest was read back. Its commit word follows.
-//! - Parameters are written and read back before the record that refers to them.
-//! - A word whose write was interrupted by a power cut may read differently at each start. A record is certain if its
-//!   commit word was begun, since the words before it are complete then. `open` appends the record that it accepts once
-//!   more, unless it is certain and the last one.
-//! - Each word is written once after an erase, and only if it reads blank. Where the power failed in the first word of
-//!   a place and it reads blank nevertheless, the same word follows: it is the sequence number, which counts places.
-//! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the
-//!   bus cannot afford. It is the bank without the newest record, after that record is certain or its bank is full.
-//! - The first place of a bank is written when its erase is complete, and only then may others follow.
+//! holds until the next store. A store that returns an error left what was stored. An operation that fails counts as a
+//! power cut for all of this. Only if the flash dies in the very unit that makes a record valid or certain, and leaves
+//! it torn, the result of the store is what the unit read then.
 //!
-//! So it is in flash whose program unit is a word or less; for the other rules of wider units see [`wide`].
+//! A unit whose writing was interrupted may read as blank, as written, as anything, or not at all, and differently each
+//! time. So may each unit of a bank whose erase was interrupted, and whatever such a bank reads must not count: what
+//! makes it count lies in the other bank, written before the erase.
+//!
+//! # A place
+//! - A program unit of zeros begins it, or a word where units are smaller. It is the only part that may have been torn
+//!   although it reads blank. If it is written once more, then with the same value; if the flash refuses that, or the
+//!   place is not blank, the log passes over the place.
+//! - The 32 bytes of a record or of a part of the parameters. The last unit of a record holds its commit word, and
+//!   makes it valid.
+//! - After a record is read back, a unit that repeats its CRC and commit word. A record with that unit is certain: the
+//!   32 bytes read the same at every start.
+//!
+//! # Rules
+//! - A record has a greater sequence number than all that its writer could read in both banks. The bank with the later
+//!   certain record counts, and in it the last valid record.
+//! - A record says how the [other bank](OtherBank) is. It says "erased" only if an erase was completed, and this holds
+//!   until a later record in the same bank says otherwise.
+//! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the
+//!   bus cannot afford.
+//! - Before an erase, the newest record is appended twice by the same start. The first copy, which says "used", must be
+//!   certain, and the second, which says "doomed", tells that to the starts after it. So whatever a half-erased bank
+//!   reads, a certain record in this bank is later than all that could ever be certain in the other one. Records that
+//!   were never made certain do not read so.
+//! - Only starts use the last [places](place::RESERVE) of a bank, and a start that is complete leaves them blank. If
+//!   only these are left after an erase, the log moves to the other bank. The first of them also takes back a store
+//!   that failed in the place before it.
 
-mod wide;
+mod newest;
+pub(super) mod place;
+mod start;
 
-use core::{error, fmt, mem, ops::Range};
+use core::{error, fmt, mem};
 
 use embedded_storage::nor_flash::NorFlash;
 
 use super::{
     Settings,
     parameters::{self, HEADER, Parameter},
-    record::{self, Changes, OtherBank, PART_LEN, Record, Reference},
+    record::{self, Changes, OtherBank, Record, Reference},
 };
 use crate::bytes::copy;
+use newest::{Blob, Newest, part_of, parts};
+use place::{Layout, Space};
+
+/// The number of places in a row that are passed over.
+const MOST_TORN: u32 = 4;
 
 /// The result of [`Log::open`], for the device's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,19 +66,68 @@ pub enum Found {
     Interrupted,
     /// The flash was blank, as in a new device; it is now formatted.
     Blank,
-    /// No record was valid, but the flash was not blank; it is now formatted and the device's defaults apply.
+    /// The flash held other data and no record; it is now formatted.
+    OtherData,
+    /// No record was valid, though there were some; the flash is now formatted and the device's defaults apply.
     Damaged,
     /// The newest record is valid, but the parameters to which it refers are damaged; their defaults apply.
     ParametersDamaged,
-    /// The flash could not be read, erased or written. The settings that were found apply, but storing may fail.
+    /// The flash could not be read, erased or written. The settings that were found apply, but storing may fail, and a
+    /// later `open` may find those of a store that was interrupted.
     MediumFailed(Error),
+}
+
+/// The reason why an append stopped.
+enum Stop {
+    /// A place could not be begun.
+    Torn(Error),
+    Failed(Error),
+}
+
+impl From<Error> for Stop {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
 }
 
 /// The settings log, on a flash that holds nothing else.
 ///
-/// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 512
-/// records, or for 341, 256 or 170 where the program unit has 8, 16 or 32 bytes. A store that finds no room in one bank
+/// The flash is used as two banks of equal size, each a multiple of the erase size; a bank of 16 KB has room for 401
+/// records, or for 333, 248 or 162 where the program unit has 8, 16 or 32 bytes. A store that finds no room in one bank
 /// continues in the other, which the `open` before has erased.
+///
+/// Another program unit, or an erase unit that is no multiple of 32 bytes, does not compile:
+///
+/// ```compile_fail,E0080
+/// # use core::convert::Infallible;
+/// # use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+/// struct Eeprom;
+///
+/// # impl ErrorType for Eeprom {
+/// #     type Error = Infallible;
+/// # }
+/// # impl ReadNorFlash for Eeprom {
+/// #     const READ_SIZE: usize = 1;
+/// #     fn read(&mut self, _: u32, _: &mut [u8]) -> Result<(), Infallible> {
+/// #         Ok(())
+/// #     }
+/// #     fn capacity(&self) -> usize {
+/// #         1000
+/// #     }
+/// # }
+/// impl NorFlash for Eeprom {
+///     const WRITE_SIZE: usize = 4;
+///     const ERASE_SIZE: usize = 100;
+/// #   fn erase(&mut self, _: u32, _: u32) -> Result<(), Infallible> {
+/// #       Ok(())
+/// #   }
+/// #   fn write(&mut self, _: u32, _: &[u8]) -> Result<(), Infallible> {
+/// #       Ok(())
+/// #   }
+/// }
+///
+/// lss_slave::settings::Log::<_, 0>::open(Eeprom);
+/// ```
 ///
 /// `STORED_LEN` is the greatest number of bytes of the packed parameters. It must not exceed the
 /// [`capacity`](parameters::capacity) of a bank: then a store finds the flash full.
@@ -65,10 +139,10 @@ pub struct Log<F, const STORED_LEN: usize = 0> {
     taken_len: usize,
     /// The newest record has no other parameters.
     has_taken_all: bool,
-    /// The last record was written but could not be read back. A later `open` may find it valid.
-    is_doubtful: bool,
-    /// What the next record says of the other bank where units are wide.
-    other_is: OtherBank,
+    /// The sequence number of the last record, if the next open may find it in another state than the last look did.
+    doubtful: Option<u32>,
+    /// The bank with the newest record counts at every open: one in it is certain, and later than all in the other.
+    counts: bool,
     /// The blank space in the bank with the newest record.
     space: Space,
     /// The blank space in the other bank; empty if its erase is not known to be complete.
@@ -119,178 +193,6 @@ impl defmt::Format for Error {
     }
 }
 
-/// The places in a bank that have not been written.
-struct Space {
-    range: Range<u32>,
-    /// The sequence number of the first of them.
-    sequence: u32,
-    /// The first address of the bank.
-    bank: u32,
-}
-
-impl Space {
-    const NONE: Self = Self { range: 0..0, sequence: 0, bank: 0 };
-
-    /// The number of places.
-    fn len<F: Layout>(&self) -> u32 {
-        self.range.end.saturating_sub(self.range.start) / F::PLACE
-    }
-
-    /// The sequence number of the last of them.
-    fn last_sequence<F: Layout>(&self) -> u32 {
-        self.sequence.wrapping_add(self.len::<F>()).wrapping_sub(1)
-    }
-
-    /// The address and the sequence number of the next place.
-    fn take<F: Layout>(&mut self) -> Result<(u32, u32), Error> {
-        if self.len::<F>() == 0 {
-            return Err(Error::Full);
-        }
-        let place = (self.range.start, self.sequence);
-        self.range.start = self.range.start.saturating_add(F::PLACE);
-        self.sequence = self.sequence.wrapping_add(1);
-        Ok(place)
-    }
-}
-
-/// The newest valid record.
-#[derive(Clone, Copy)]
-struct Newest {
-    record: Record,
-    at: u32,
-    /// The first address of its bank.
-    bank: u32,
-}
-
-impl Newest {
-    /// The part of the parameters with this number; `None` if the log is damaged.
-    fn part<F: NorFlash>(
-        &self,
-        flash: &mut F,
-        number: u16,
-    ) -> Result<Option<[u8; PART_LEN]>, Error> {
-        let mut end = self.place::<F>();
-        let mut reference = self.record.parameters;
-        // Each reference lies before the one from which it was found.
-        while let Some(Reference { first, changes, .. }) = reference.filter(|it| it.end() <= end) {
-            let Some(Changes { parts, others }) = changes else {
-                let place = u32::from(first).saturating_add(number.into());
-                let is_there = reference.is_some_and(|it| place < it.end());
-                let bytes = read(flash, self.address::<F>(place))?;
-                return Ok(is_there.then_some(record::part_from_bytes(&bytes).1));
-            };
-            for place in first..first.saturating_add(parts) {
-                let bytes = read(flash, self.address::<F>(place.into()))?;
-                let (found, part) = record::part_from_bytes(&bytes);
-                if found == number {
-                    return Ok(Some(part));
-                }
-            }
-            if others >= first {
-                break;
-            }
-            end = others.into();
-            reference = Reference::of_record(&read(flash, self.address::<F>(end))?);
-        }
-        Ok(None)
-    }
-
-    /// Whether the parameters are complete and undamaged.
-    fn is_intact<F: NorFlash>(&self, flash: &mut F) -> Result<bool, Error> {
-        let Some(Reference { len, crc, .. }) = self.record.parameters else {
-            return Ok(true);
-        };
-        let mut found = u32::MAX;
-        for (number, len) in parts(len) {
-            let part = match self.part(flash, number) {
-                // A wide unit that cannot be read is damaged.
-                Err(_) if F::IS_WIDE => None,
-                part => part?,
-            };
-            let Some(part) = part else {
-                return Ok(false);
-            };
-            found = record::crc32_of_more(found, part.get(..len).unwrap_or_default());
-        }
-        Ok(!found == crc)
-    }
-
-    fn place<F: Layout>(&self) -> u32 {
-        self.at.saturating_sub(self.bank) / F::PLACE
-    }
-
-    fn address<F: Layout>(&self, place: u32) -> u32 {
-        place.saturating_mul(F::PLACE).saturating_add(self.bank)
-    }
-}
-
-/// The numbers of the parts of parameters of `len` bytes, and the length of each.
-fn parts(len: u16) -> impl Iterator<Item = (u16, usize)> {
-    let starts = (0..usize::from(len)).step_by(PART_LEN);
-    (0..).zip(starts.map(move |start| usize::from(len).saturating_sub(start).min(PART_LEN)))
-}
-
-/// The part of packed parameters with this number, if there is one; unused bytes are FF.
-fn part_of(packed: &[u8], number: u16) -> Option<[u8; PART_LEN]> {
-    let mut part = [0xFF; PART_LEN];
-    (copy(packed, usize::from(number).saturating_mul(PART_LEN), &mut part) > 0).then_some(part)
-}
-
-/// The 32 bytes of a place.
-fn read<F: NorFlash>(flash: &mut F, at: u32) -> Result<[u8; record::LEN as usize], Error> {
-    let mut bytes = [0; record::LEN as usize];
-    if F::IS_WIDE {
-        wide::read(flash, at.saturating_add(F::WRITE_SIZE as u32), &mut bytes)?;
-        return Ok(bytes);
-    }
-    flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
-    Ok(bytes)
-}
-
-/// The places of a flash.
-trait Layout: NorFlash {
-    /// A program unit is larger than a word.
-    const IS_WIDE: bool = record::is_wide(Self::WRITE_SIZE);
-    /// The number of bytes that a place takes.
-    const PLACE: u32 = record::place_len(Self::WRITE_SIZE);
-}
-
-impl<F: NorFlash> Layout for F {}
-
-/// The result of the search in one bank.
-struct Bank {
-    range: Range<u32>,
-    newest: Option<Newest>,
-    /// The newest record is certain.
-    is_certain: bool,
-    /// The sequence number of the first place, if the bank was erased completely and nothing was written since.
-    erased: Option<u32>,
-    /// The address from which the rest of the bank reads blank.
-    blank_from: u32,
-}
-
-impl Bank {
-    fn is_blank(&self) -> bool {
-        self.blank_from == self.range.start || self.erased.is_some()
-    }
-
-    /// The blank space, if the place at `at` has this sequence number.
-    fn space(&self, at: u32, sequence: u32) -> Space {
-        let places = self.blank_from.saturating_sub(at) / record::LEN;
-        Space {
-            range: self.blank_from..self.range.end,
-            sequence: sequence.wrapping_add(places),
-            bank: self.range.start,
-        }
-    }
-}
-
-/// Whether `bytes` have not been written since the erase. Compares words, since each start checks a thousand records.
-fn is_blank(bytes: &[u8; record::LEN as usize]) -> bool {
-    let (words, _) = bytes.as_chunks();
-    words.iter().all(|word| u32::from_ne_bytes(*word) == u32::MAX)
-}
-
 impl<F: NorFlash> Log<F> {
     /// Finds the newest settings, and erases the bank that does not hold them if it was used since its last erase.
     ///
@@ -305,28 +207,25 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// Opens the log as [`open`](Log::open) does, for a node with parameters. [`restore`](Self::restore) must follow.
     pub fn open_with_parameters(flash: F) -> (Self, Found) {
         const {
-            assert!(
-                matches!(F::WRITE_SIZE, 1 | 2 | 4 | 8 | 16 | 32),
-                "the program unit must be 1, 2, 4, 8, 16 or 32 bytes"
-            );
-            let read_at_once = if F::IS_WIDE { F::WRITE_SIZE } else { record::LEN as usize };
-            assert!(read_at_once.is_multiple_of(F::READ_SIZE));
+            let () = F::IS_POSSIBLE;
             assert!(STORED_LEN < u16::MAX as usize, "the parameters take too many bytes");
         }
-        let record = Record { sequence: 0, settings: None, parameters: None };
+        let other_is = OtherBank::Used;
+        let record = Record { sequence: 0, settings: None, parameters: None, other_is };
         let mut log = Self {
             flash,
             newest: Newest { record, at: 0, bank: 0 },
             taken: [0; STORED_LEN],
             taken_len: 0,
             has_taken_all: false,
-            is_doubtful: false,
-            other_is: OtherBank::Used,
+            doubtful: None,
+            counts: false,
             space: Space::NONE,
             other: Space::NONE,
         };
-        let found = if F::IS_WIDE { log.find_wide() } else { log.find() };
-        let found = found.unwrap_or_else(Found::MediumFailed);
+        let found = log.find().unwrap_or_else(Found::MediumFailed);
+        log.space.keep_reserve::<F>();
+        log.other.keep_reserve::<F>();
         (log, found)
     }
 
@@ -341,7 +240,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// # Errors
     /// The flash cannot be read.
     pub fn restore(&mut self, mut take: impl FnMut(&Parameter<'_>) -> bool) -> Result<(), Error> {
-        let mut blob = Blob { flash: &mut self.flash, newest: self.newest, at: 0, last: None };
+        let mut blob = Blob::new(&mut self.flash, self.newest);
         let mut has_taken_all = true;
         self.taken_len = 0;
         while blob.rest() >= HEADER {
@@ -374,14 +273,14 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     }
 
     /// Makes `settings` persistent and keeps the parameters. Writes nothing if the settings already are, else one
-    /// record, which takes 0.2 ms (0.8 ms at worst) on an STM32F4. Where one bank is full, the parameters are copied to
+    /// record, which takes 0.2 ms (1 ms at worst) on an STM32F4. Where one bank is full, the parameters are copied to
     /// the other before it.
     ///
     /// # Errors
     /// The record could not be written and read back, or the flash is full until the next `open`. The previous settings
     /// are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), Error> {
-        if self.settings() == Some(settings) && !self.is_doubtful {
+        if self.settings() == Some(settings) && self.doubtful.is_none() {
             return Ok(());
         }
         self.put_or_restore(settings, None)
@@ -415,176 +314,107 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         self.flash
     }
 
-    fn find(&mut self) -> Result<Found, Error> {
-        let bank_len = self.bank_len();
-        let first = self.search(0..bank_len)?;
-        let second = self.search(bank_len..bank_len.saturating_mul(2))?;
-        let second_is_newer = match (&first.newest, &second.newest) {
-            (Some(first), Some(second)) => {
-                record::is_newer(second.record.sequence, first.record.sequence)
-            }
-            (first, second) => first.is_none() && second.is_some(),
-        };
-        let (bank, other) = if second_is_newer { (second, first) } else { (first, second) };
-        let Some(newest) = bank.newest else {
-            let is_blank = bank.is_blank() && other.is_blank();
-            // Even a bank that reads blank is erased: its last erase may have been interrupted.
-            self.erase(bank.range)?;
-            self.put(None, None)?;
-            self.erase(other.range)?;
-            return Ok(if is_blank { Found::Blank } else { Found::Damaged });
-        };
-        self.newest = newest;
-        self.space = bank.space(newest.at, newest.record.sequence);
-        let is_interrupted = bank.blank_from > newest.at.saturating_add(record::LEN);
-        let is_intact = newest.is_intact(&mut self.flash)?;
-        if !is_intact {
-            self.newest.record.parameters = None;
-        }
-        let is_certain = bank.is_certain && is_intact && !is_interrupted
-            || self.append(newest.record.settings, None, false).is_ok();
-        match other.erased {
-            Some(sequence) if record::is_newer(sequence, self.space.last_sequence::<F>()) => {
-                self.other = other.space(other.range.start, sequence);
-            }
-            _ => self.erase(other.range)?,
-        }
-        if !is_certain {
-            self.put(newest.record.settings, None)?;
-        }
-        Ok(match (is_intact, is_interrupted) {
-            (false, _) => Found::ParametersDamaged,
-            (true, true) => Found::Interrupted,
-            (true, false) => Found::Complete,
-        })
-    }
-
-    /// The number of bytes that are erased with a bank.
-    fn bank_len(&self) -> u32 {
-        let erase_size = F::ERASE_SIZE as u32;
-        self.flash.capacity() as u32 / 2 / erase_size * erase_size
-    }
-
-    fn search(&mut self, range: Range<u32>) -> Result<Bank, Error> {
-        let start = range.start;
-        let mut bank =
-            Bank { range, newest: None, is_certain: false, erased: None, blank_from: start };
-        // One buffer for all: returning each of a thousand records would cost a copy, 1 ms in all.
-        let mut bytes = [0; record::LEN as usize];
-        for at in bank.range.clone().step_by(record::LEN as usize).rev() {
-            self.flash.read(at, &mut bytes).map_err(|_| Error::Refused)?;
-            if is_blank(&bytes) {
-                continue;
-            }
-            if bank.blank_from == start {
-                bank.blank_from = at.saturating_add(record::LEN);
-                bank.erased = record::mark_from_bytes(&bytes).filter(|_| at == start);
-            }
-            if let Some(record) = Record::from_bytes(&bytes) {
-                bank.newest = Some(Newest { record, at, bank: start });
-                bank.is_certain = record::is_certain(&bytes);
-                break;
-            }
-        }
-        Ok(bank)
-    }
-
-    /// Erases the bank without the newest record.
-    fn erase(&mut self, bank: Range<u32>) -> Result<(), Error> {
-        if record::mark_from_bytes(&read(&mut self.flash, bank.start)?).is_some() {
-            // An interrupted erase may leave the mark as it is.
-            let at = bank.start.saturating_add(record::VOID_AT);
-            self.flash.write(at, &record::VOID).map_err(|_| Error::Refused)?;
-        }
-        self.flash.erase(bank.start, bank.end).map_err(|_| Error::Refused)?;
-        // A record that is left would count, since it comes after those that follow.
-        if self.search(bank.clone())?.newest.is_some() {
-            return Err(Error::NotBlank);
-        }
-        // Later than any in the other bank.
-        let places = bank.end.saturating_sub(bank.start) / record::LEN;
-        let sequence = self.newest.record.sequence.wrapping_add(places);
-        self.write_part(bank.start, &record::mark_to_bytes(sequence), record::MARK_LEN)?;
-        let range = bank.start.saturating_add(record::LEN)..bank.end;
-        self.other = Space { range, sequence: sequence.wrapping_add(1), bank: bank.start };
-        Ok(())
-    }
-
     /// Makes `settings` persistent, or else leaves the old ones so.
     fn put_or_restore(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
+        let before = self.doubtful;
         let outcome = self.put(Some(settings), new);
-        if outcome.is_err() && self.is_doubtful {
-            let _ = self.put(self.settings(), None);
+        let Some(doubtful) = self.doubtful.filter(|it| before != Some(*it)) else {
+            return outcome;
+        };
+        if self.space.len::<F>() == 0 {
+            self.space.range.end = self.space.range.end.saturating_add(F::PLACE);
+        }
+        if self.put(self.settings(), None).is_err()
+            // The flash has failed. What the next open will find is found now.
+            && let Some(found) = self.search().0.counts()
+            && found.record.sequence == doubtful
+        {
+            self.newest = found;
+            self.doubtful = None;
+            return Ok(());
         }
         outcome
     }
 
     /// Appends a record with `new` parameters, or with those of the newest one, where there is room.
     fn put(&mut self, settings: Option<Settings>, new: Option<&[u8]>) -> Result<(), Error> {
-        match self.append(settings, new, false) {
+        let other_is = self.newest.record.other_is;
+        match self.append(settings, new, other_is) {
             Err(Error::Full) => {}
-            outcome => return outcome,
+            outcome => return outcome.map(|_| ()),
         }
-        self.put_in_other(settings, new)
-    }
-
-    /// Appends a record in the other bank, with all its parameters.
-    fn put_in_other(
-        &mut self,
-        settings: Option<Settings>,
-        new: Option<&[u8]>,
-    ) -> Result<(), Error> {
         mem::swap(&mut self.space, &mut self.other);
-        let outcome = self.append(settings, new, true);
-        // A doubtful record there would be newer than the old one in this bank.
-        let has_moved =
-            outcome.is_ok() || self.is_doubtful && self.append(self.settings(), None, true).is_ok();
-        if has_moved {
+        let outcome = self.append(settings, new, other_is);
+        if outcome.is_ok() || self.doubtful.is_some() {
+            // Where a record is doubtful, those that are later must follow.
             self.other = Space::NONE;
         } else {
             mem::swap(&mut self.space, &mut self.other);
         }
-        outcome
+        outcome.map(|_| ())
     }
 
-    /// Appends a record in the bank with the newest one, after the parameters that differ, or in the other one, after
-    /// all parameters. Writes nothing if they do not fit.
+    /// Appends a record, behind places that turn out to be torn. Returns whether it is certain.
     fn append(
         &mut self,
         settings: Option<Settings>,
         new: Option<&[u8]>,
-        in_other: bool,
-    ) -> Result<(), Error> {
-        let outcome = self.append_once(settings, new, in_other);
-        if F::IS_WIDE { self.pass_torn_places(outcome, settings, new, in_other) } else { outcome }
+        other_is: OtherBank,
+    ) -> Result<bool, Error> {
+        let mut failure = Error::NotBlank;
+        for _ in 0..=MOST_TORN {
+            match self.append_once(settings, new, other_is) {
+                Ok(is_certain) => return Ok(is_certain),
+                Err(Stop::Torn(error)) => failure = error,
+                Err(Stop::Failed(error)) => return Err(error),
+            }
+        }
+        Err(failure)
     }
 
+    /// Appends a record after the parameters that differ, or in another bank than that of the newest one, after all
+    /// parameters. Writes nothing if they do not fit.
     fn append_once(
         &mut self,
         settings: Option<Settings>,
         new: Option<&[u8]>,
-        in_other: bool,
-    ) -> Result<(), Error> {
+        other_is: OtherBank,
+    ) -> Result<bool, Stop> {
+        let in_other = self.space.bank != self.newest.bank;
         let parameters = match new {
             None if !in_other => self.newest.record.parameters,
             _ => self.append_parameters(new, in_other)?,
         };
         let (at, sequence) = self.take()?;
-        let record = Record { sequence, settings, parameters };
-        if F::IS_WIDE {
-            self.write_wide(at, record, in_other)?;
-        } else {
-            self.write(at, &record.to_bytes())?;
+        let other_is = if in_other { OtherBank::Used } else { other_is };
+        let record = Record { sequence, settings, parameters, other_is };
+        let bytes = record.to_bytes();
+        // A unit that the flash could not write may read as written later.
+        self.doubtful = Some(sequence);
+        place::write(&mut self.flash, at, &bytes)?;
+        let is_certain = place::commit(&mut self.flash, at, &bytes);
+        // Within a bank that counts, the last valid record does.
+        if is_certain == Some(false) && (in_other || !self.counts) {
+            return Err(Error::NotAsWritten.into());
         }
         self.newest = Newest { record, at, bank: self.space.bank };
-        Ok(())
+        self.counts = true;
+        self.doubtful = None;
+        Ok(is_certain == Some(true))
+    }
+
+    /// The address and the sequence number of the next place, which is begun.
+    fn take(&mut self) -> Result<(u32, u32), Stop> {
+        let place = self.space.take::<F>()?;
+        place::begin(&mut self.flash, place.0).map_err(Stop::Torn)?;
+        Ok(place)
     }
 
     fn append_parameters(
         &mut self,
         new: Option<&[u8]>,
         in_other: bool,
-    ) -> Result<Option<Reference>, Error> {
+    ) -> Result<Option<Reference>, Stop> {
         let old = self.newest;
         let stored = old.record.parameters;
         let len = new.map_or(stored.map_or(0, |stored| stored.len), |new| new.len() as u16);
@@ -599,7 +429,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         // In the release image, `count` would keep its panic.
         let changed = changed.fold(0_u16, |count, _| count.saturating_add(1));
         if u32::from(changed) >= self.space.len::<F>() {
-            return Err(Error::Full);
+            return Err(Error::Full.into());
         }
         let first = self.space.range.start.saturating_sub(self.space.bank) / F::PLACE;
         let first = first.try_into().map_err(|_| Error::Full)?;
@@ -614,111 +444,15 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             if !is_kept(self, number, part) {
                 let (at, sequence) = self.take()?;
                 let place = record::part_to_bytes(sequence, number, &bytes);
-                if F::IS_WIDE {
-                    self.write_once(at, &place)?;
-                } else {
-                    self.write_part(at, &place, PART_LEN)?;
+                if !place::write(&mut self.flash, at, &place)? {
+                    return Err(Error::Refused.into());
                 }
             }
         }
         if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
-            return Err(Error::NotAsWritten);
+            return Err(Error::NotAsWritten.into());
         }
         let changes = Changes { parts: changed, others: old.place::<F>() as u16 };
         Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
-    }
-
-    /// The address and the sequence number of the next place.
-    fn take(&mut self) -> Result<(u32, u32), Error> {
-        let place = self.space.take::<F>()?;
-        if F::IS_WIDE {
-            self.begin_wide(place.0)?;
-        }
-        Ok(place)
-    }
-
-    /// Writes a record to a blank place.
-    fn write(&mut self, at: u32, bytes: &[u8; record::LEN as usize]) -> Result<(), Error> {
-        let (whole, last) = bytes.split_at(record::LAST_AT);
-        let (content, crc) = whole.split_at(record::CRC_AT);
-        self.begin(at, content)?;
-        // The read-backs decide, as at the next open, whatever the flash reports for the last two words.
-        self.is_doubtful = true;
-        let _ = self.flash.write(at.saturating_add(record::CRC_AT as u32), crc);
-        let is_valid = read(&mut self.flash, at)?.starts_with(whole);
-        if is_valid {
-            let _ = self.flash.write(at.saturating_add(record::LAST_AT as u32), last);
-        }
-        let is_written = read(&mut self.flash, at)? == *bytes;
-        self.is_doubtful = is_valid && !is_written;
-        if is_written { Ok(()) } else { Err(Error::NotAsWritten) }
-    }
-
-    /// Writes a part of the parameters, or a mark, to a blank place; only the first `len` bytes of its data are
-    /// written.
-    fn write_part(
-        &mut self,
-        at: u32,
-        bytes: &[u8; record::LEN as usize],
-        len: usize,
-    ) -> Result<(), Error> {
-        const DATA_AT: usize = record::LEN as usize - record::LAST_AT;
-        let (whole, last) = bytes.split_at(record::LAST_AT);
-        let (sequence, data) = whole.split_at(DATA_AT);
-        let data = data.get(..len).unwrap_or(data);
-        self.begin(at, sequence)?;
-        // The data may read as those of a record, unless the last word is complete before them.
-        for (offset, words) in [(record::LAST_AT, last), (DATA_AT, data)] {
-            let at = at.saturating_add(offset as u32);
-            self.flash.write(at, words).map_err(|_| Error::Refused)?;
-        }
-        if read(&mut self.flash, at)? == *bytes { Ok(()) } else { Err(Error::NotAsWritten) }
-    }
-
-    /// Writes the beginning of a blank place and reads it back.
-    fn begin(&mut self, at: u32, content: &[u8]) -> Result<(), Error> {
-        if !is_blank(&read(&mut self.flash, at)?) {
-            return Err(Error::NotBlank);
-        }
-        self.flash.write(at, content).map_err(|_| Error::Refused)?;
-        let written = read(&mut self.flash, at)?;
-        if written.starts_with(content) { Ok(()) } else { Err(Error::NotAsWritten) }
-    }
-}
-
-/// The parameters of a record in the flash, read from the start to the end.
-struct Blob<'a, F> {
-    flash: &'a mut F,
-    newest: Newest,
-    /// The number of bytes before the next one to read.
-    at: usize,
-    /// The part that was read last, and its number.
-    last: Option<(u16, [u8; PART_LEN])>,
-}
-
-impl<F: NorFlash> Blob<'_, F> {
-    /// The number of bytes that have not been read.
-    fn rest(&self) -> usize {
-        let len = self.newest.record.parameters.map_or(0, |parameters| parameters.len);
-        usize::from(len).saturating_sub(self.at)
-    }
-
-    fn skip(&mut self, bytes: usize) {
-        self.at = self.at.saturating_add(bytes);
-    }
-
-    fn read(&mut self, mut to: &mut [u8]) -> Result<(), Error> {
-        while !to.is_empty() {
-            let number = (self.at / PART_LEN) as u16;
-            let part = match self.last {
-                Some((last, part)) if last == number => part,
-                _ => self.newest.part(self.flash, number)?.ok_or(Error::NotAsWritten)?,
-            };
-            self.last = Some((number, part));
-            let read = copy(&part, self.at % PART_LEN, to);
-            self.skip(read);
-            to = to.get_mut(read..).unwrap_or_default();
-        }
-        Ok(())
     }
 }

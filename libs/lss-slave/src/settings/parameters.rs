@@ -1,6 +1,6 @@
 //! Parameters: the values that object 1010h stores, packed one after another.
 
-use super::record;
+use super::{log::place, record::PART_LEN};
 use crate::bytes::copy;
 
 /// The bytes that a parameter takes beside its value: index, sub-index, data type and length.
@@ -11,9 +11,8 @@ pub const HEADER: usize = 6;
 /// program unit of `write_size` bytes. They take half of it with their record, so that others can be stored without an
 /// erase.
 pub const fn capacity(bank_len: usize, write_size: usize) -> usize {
-    let places = bank_len / record::place_len(write_size) as usize;
-    let for_starts = if record::is_wide(write_size) { record::RESERVE as usize } else { 0 };
-    (places.saturating_sub(for_starts) / 2).saturating_sub(1) * record::PART_LEN
+    let places = bank_len / place::len(write_size) as usize;
+    (places.saturating_sub(place::RESERVE as usize) / 2).saturating_sub(1) * PART_LEN
 }
 
 /// The value of an object, to be stored or as it was stored.

@@ -1,4 +1,4 @@
-//! What only hands can do, or a probe: a power cut, and a short circuit of the bus.
+//! What only hands can do: a power cut, and a short circuit of the bus.
 
 use std::time::{Duration, Instant};
 
@@ -29,13 +29,11 @@ fn agrees(bench: &Bench, question: &str) -> bool {
 
 /// A stored node-ID is active after the power was away. The boot-up with it proves both.
 fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
-    let has_probe = bench.probe.is_some();
     let question = "Can you switch the power of the first board off and on?";
-    if !has_probe && !agrees(bench, question) {
-        bench.report.not_tried(
-            "settings through a power cut",
-            "nobody at hand to switch the power, and no --probe",
-        );
+    if !agrees(bench, question) {
+        bench
+            .report
+            .not_tried("settings through a power cut", "nobody at hand to switch the power");
         return Ok(());
     }
     let (board, other) = (bench.boards[0], bench.free_id());
@@ -44,20 +42,8 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
         bench.report.failed("a node-ID is stored", why, "11 00, 17 00");
         return Ok(());
     }
-    let what = match &bench.probe {
-        Some(probe) => match probe.reset() {
-            Ok(()) => "settings through a reset by the probe",
-            Err(why) => {
-                bench.report.not_tried("settings through a reset by the probe", why);
-                return Ok(());
-            }
-        },
-        None => {
-            bench.report.progress("now: switch the power off, wait 2 s, switch it on again");
-            "settings through a power cut"
-        }
-    };
-    bench.check_boot_up(what, other, HANDS)?;
+    bench.report.progress("now: switch the power off, wait 2 s, switch it on again");
+    bench.check_boot_up("settings through a power cut", other, HANDS)?;
     bench.bus.states.remove(&other.get());
     Ok(())
 }

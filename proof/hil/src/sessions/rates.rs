@@ -133,7 +133,7 @@ fn judge(bench: &mut Bench, rates: &[BitRate], bad: &[BitRate]) {
         bench.report.bench(
             "termination suspected: only fast bit rates fail. There must be 120 ohm between CANH and CANL at both ends \
              of the bus and nowhere else (60 ohm without power), and the cable must be short: 25 m at 1000 kbit/s. \
-             A wrong sample point or crystal does the same: compare the registers with --probe",
+             A wrong sample point or crystal does the same",
         );
     }
 }

@@ -1,23 +1,12 @@
 //! Boards broken on purpose: each fault is found and named, and the board is left as it was if that is possible.
 
 use std::{
-    fs,
     io::{BufRead, BufReader},
-    ops::RangeInclusive,
     process::{Command, Stdio},
     time::Duration,
 };
 
-use canopen_node::BitRate;
-use emulator::{
-    Time,
-    chip::{Access, Width},
-};
-use testkit::{
-    emulated::Emulated,
-    image::Firmware,
-    image_rig::{ImageRig, board_with, settings},
-};
+use testkit::emulated::Emulated;
 
 use crate::{
     folder::new_folder,
@@ -25,17 +14,6 @@ use crate::{
     proxy::{self, Fault},
     run::{self, Run},
 };
-
-/// CAN1 with its filters, PWR_CSR, RCC, FLASH, the size of the flash and DBGMCU_IDCODE.
-const REGISTERS: [RangeInclusive<u32>; 6] = [
-    0x4000_6400..=0x4000_6644,
-    0x4000_7004..=0x4000_7004,
-    0x4002_3800..=0x4002_3840,
-    0x4002_3C00..=0x4002_3C14,
-    0x1FFF_7A20..=0x1FFF_7A20,
-    0xE004_2000..=0xE004_2000,
-];
-const CAN_BTR: u32 = 0x4000_641C;
 
 fn run_with(fault: Fault, session: &str) -> Run {
     let boards = Emulated::start(&["--node-id", "5"]);
@@ -89,37 +67,6 @@ fn a_board_that_cannot_be_brought_back_is_named_with_the_reason() {
     run.assert_named("the boards cannot be brought back to 125 kbit/s: board 515884C7");
     run.assert_named("board 515884C7 answers at no bit rate");
     run.assert_left("changed: board 515884C7 answers at no bit rate");
-}
-
-#[test]
-fn a_wrong_sample_point_is_named_by_the_probe() {
-    let folder = new_folder("probe");
-    // The registers of an emulated board in the same state, but for the sample point.
-    let rate = BitRate::Kbit125;
-    let mut rig = ImageRig::new(rate, [board_with(Firmware::Default, 0, settings(5, rate))]);
-    rig.network.run_for(Time::from_ms(500));
-    let mut script = "#!/bin/sh\ncase $5 in\n".to_owned();
-    for address in REGISTERS.into_iter().flat_map(|range| range.step_by(4)) {
-        let board = rig.network.board(0);
-        let access = Access { address, width: Width::Word, now: board.now(), pc: 0 };
-        let Ok(value) = board.chip().read(access) else { continue };
-        let value = if address == CAN_BTR { 0x0067_000F } else { value };
-        script += &format!("{address:#X}) echo {value:08x};;\n");
-    }
-    let program = folder.join("probe-rs");
-    fs::write(&program, script + "*) echo no such register >&2; exit 1;;\nesac\n")
-        .expect("it can be written");
-    let status = Command::new("chmod").arg("+x").arg(&program).status();
-    assert!(status.is_ok_and(|status| status.success()));
-
-    let boards = Emulated::start(&["--node-id", "5"]);
-    let arguments = ["--session", "registers", "--probe", "stm32f405", "--quick"];
-    let mut command = run::command(&folder, &boards.adapter(), &arguments);
-    let path = std::env::var("PATH").unwrap_or_default();
-    command.env("PATH", format!("{}:{path}", folder.display()));
-    let run = Run::new(&folder, command.output().expect("it runs"), Duration::ZERO);
-    assert_eq!(run.failures(), ["CAN_BTR: 0067000F (156 kbit/s, sample point 56 %)"]);
-    run.assert_left("restored");
 }
 
 #[test]

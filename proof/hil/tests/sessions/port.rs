@@ -42,7 +42,8 @@ shown_on! { stm32f407, stm32g431: {
 fn start(chip: &str, boards: &str, arguments: &[&str]) -> Emulated {
     let program = cargo::workspace().join(format!("target/embassy/{chip}.elf"));
     let program = program.to_string_lossy();
-    let chip = ["--boards", boards, "--chip", chip, "--elf", &program];
+    let crystal = if chip == "stm32g431" { "24" } else { "8" };
+    let chip = ["--boards", boards, "--chip", chip, "--crystal", crystal, "--elf", &program];
     Emulated::start(&[&chip[..], arguments].concat())
 }
 

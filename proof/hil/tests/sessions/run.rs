@@ -8,6 +8,7 @@ use std::{
 };
 
 use serde_json::Value;
+use testkit::cargo;
 
 use crate::folder::new_folder;
 
@@ -22,7 +23,7 @@ pub struct Run {
 
 /// The command, with a report in `folder`.
 pub fn command(folder: &Path, adapter: &str, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
+    let mut command = cargo::program("hil");
     command.args(["--adapter", adapter, "--report"]).arg(folder.join("report")).args(arguments);
     command.stdin(Stdio::null());
     command

@@ -118,8 +118,9 @@ impl System {
             "python3 cannot create a venv (Debian: apt-get install python3-venv)",
         )?;
         tool::run(
-            Command::new(venv.join("bin/pip"))
-                .args(["install", "--quiet", "--disable-pip-version-check", "--target"])
+            Command::new(venv.join("bin/python"))
+                .args(["-m", "pip", "install", "--quiet"])
+                .args(["--disable-pip-version-check", "--target"])
                 .arg(self.files().join("usr/lib/python3/dist-packages"))
                 .arg("--constraint")
                 .arg(workspace().join(VERSIONS))

@@ -7,7 +7,7 @@ use super::{
     life::SWITCH_LEAD_MS,
     situation::{Event, Foreign, Master, Node, Probe, Situation, Traffic, What, configure},
 };
-use testkit::{image_rig::bit_per_s, random::Random};
+use testkit::{random::Random, wire::bit_per_s};
 
 /// Slow rates, at which a frame takes up to 13 ms, are rare; so are fast rates, at which errors keep the emulated cores
 /// busy.
@@ -147,7 +147,21 @@ impl Draft {
         let follows = t0 + self.delay_of_switch() + 1;
         let master = self.talking_master(to);
         self.add(follows, follows, What::Master(master));
-        self.probe_after(away, to)
+        let probe = self.probe_after(away, to);
+        self.may_crash(begin, probe)
+    }
+
+    /// Lets half of the masters crash in the switch that began at `begin`, and come back at the rate of the probe.
+    fn may_crash(&mut self, begin: u32, probe: Probe) -> Probe {
+        if self.random.one_in(2) {
+            return probe;
+        }
+        let crash = self.span(begin + 1, probe.at);
+        self.events.retain(|event| event.at < crash || !matches!(event.what, What::Master(_)));
+        self.add(crash, crash, What::Master(Master::Away));
+        let back = crash + self.span(1, 3_000);
+        self.master_at(back, probe.rate);
+        Probe { at: probe.at.max(back), ..probe }
     }
 
     /// Boards with a stored rate that is not the bus's.
@@ -298,7 +312,8 @@ impl Draft {
         self.add(follows, follows, What::Master(Master::Idle(to)));
         let wait = self.wait();
         let rate = if self.random.one_in(2) { to } else { self.home };
-        self.probe(away.max(follows) + wait, rate)
+        let probe = self.probe(away.max(follows) + wait, rate);
+        self.may_crash(begin, probe)
     }
 
     /// Power cuts of a few milliseconds while a foreign device sends.

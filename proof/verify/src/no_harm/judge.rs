@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use canopen_node::BitRate;
 use emulator::{Time, chip::Part, image::Image};
 
 use super::{
@@ -9,7 +10,7 @@ use super::{
     life::{FRAME_BITS, Life, POLL},
     situation::{Situation, ms},
 };
-use testkit::image_rig::bit_per_s;
+use testkit::wire::bit_per_s;
 
 /// The allowed delay of a board that is proven at its rate against the plain slave, unless [`LATE_FRAMES`] take longer.
 const LATE: Time = Time::from_ms(200);
@@ -20,8 +21,6 @@ const BACK: Time = Time::from_s(5);
 const PAUSE: Time = Time::from_ms(760);
 /// The time for which a board that was led away repeats a frame that nobody acknowledges.
 const UNACKNOWLEDGED: Time = Time::from_ms(100);
-/// The time from a foreign master's last request to the visit home of a guest.
-const VISIT: Time = Time::from_s(65);
 /// The time for which a board looks for no other rate after a commanded switch.
 const TRUST: Time = Time::from_s(30);
 /// The time from the first evidence until a lost board is found.
@@ -31,7 +30,7 @@ const AT_ONCE: Time = Time::from_s(1);
 /// The number of times that both images are tried again, the step of the crystals' deviation, and the number of times
 /// that the product may be in time less often.
 const PHASES: i32 = 32;
-const DRIFT_PPM: i32 = 7;
+pub const DRIFT_PPM: i32 = 7;
 const BY_CHANCE: usize = 10;
 /// The time after which an unreached plain slave counts as lost.
 const PATIENCE: Time = Time::from_s(3);
@@ -112,9 +111,10 @@ impl Images {
         let mut plain = Life::up_to_the_probe(situation, &self.plain, self.part);
         let boards = 0..situation.boards.len();
         let home = |board: usize| {
-            // A board that is switched on with the probe has its stored rate.
+            // A board that is switched on with the probe has its stored rate; its controller has not been set.
+            let is_set = |rate: &u32| BitRate::ALL.map(bit_per_s).contains(rate);
             let stored = || bit_per_s(situation.boards[board].stored);
-            plain.bit_rate(board).unwrap_or_else(stored)
+            plain.bit_rate(board).filter(is_set).unwrap_or_else(stored)
         };
         let homes: Vec<u32> = boards.map(home).collect();
         let rate = bit_per_s(situation.probe.rate);
@@ -175,6 +175,9 @@ impl Images {
             }
         }
         let has_proven = |board: usize| ours.has_proven(board, homes[board]);
+        // Proven at its own rate, the board has missed a switch as a plain slave may.
+        let has_stayed =
+            |board: usize| ours.bit_rate(board).is_some_and(|rate| ours.has_proven(board, rate));
         for (board, limit) in limits.iter().enumerate() {
             let (Some(limit), plain, ours) =
                 (*limit, plain_seen[board].reached, seen[board].reached)
@@ -189,7 +192,9 @@ impl Images {
                 (None, _) if is_in_time => verdict.rescued += 1,
                 // The board was switched on with the probe, and others at its rate have acknowledged it.
                 (None, _) if has_proven(board) => {}
-                (Some(_), _) if has_proven(board) && self.is_chance(situation, board, limit) => {}
+                (Some(_), _)
+                    if (has_proven(board) || has_stayed(board))
+                        && self.is_chance(situation, board, limit) => {}
                 (plain, ours) => verdict.failures.push(Failure::Late { board, plain, ours, limit }),
             }
         }
@@ -237,15 +242,9 @@ fn latest(situation: &Situation, trust: Trust, plain: Time) -> Time {
         Trust::Commanded => return plain + allowance,
         Trust::None => {}
     }
-    let back = situation.calm_at().map_or(Time::ZERO, |(calm, span)| {
-        // Boards that were led away together stay as long again, or until a visit after a foreign master's last request.
-        let together = match situation.boards.len() {
-            1 => Time::ZERO,
-            _ if situation.has_foreign_requests() => VISIT,
-            _ => ms(span),
-        };
-        (ms(calm) + BACK + together).saturating_sub(ms(situation.probe.at))
-    });
+    let back = situation
+        .calm_at()
+        .map_or(Time::ZERO, |calm| (ms(calm) + BACK).saturating_sub(ms(situation.probe.at)));
     // A board that is alone at the foreign rate leaves it at the master's requests, which are errors there, unless its
     // own frame, which nobody acknowledges, keeps the master from sending.
     if !situation.probe.listens && situation.boards.len() == 1 {

@@ -12,9 +12,10 @@ use emulator::{
 
 use super::situation::{Foreign, Master, Node, Probe, Situation, Traffic, What, configure, ms};
 use testkit::{
-    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, on_the_wire},
+    boards::Variant,
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
     random::Random,
-    sessions::Variant,
+    wire::{bit_per_s, on_the_wire},
 };
 
 /// The interval between questions to a board that is looked for.

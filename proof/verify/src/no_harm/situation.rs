@@ -121,9 +121,9 @@ pub struct Probe {
 }
 
 impl Situation {
-    /// The end of the last disturbance and the longest time that one has lasted, in milliseconds. A master at another
-    /// rate than the probe's counts as one, and so does a board.
-    pub fn calm_at(&self) -> Option<(u32, u32)> {
+    /// The end of the last disturbance, in milliseconds. A master at another rate than the probe's counts as one, and
+    /// so does a board.
+    pub fn calm_at(&self) -> Option<u32> {
         let mut ends = Vec::new();
         for (index, event) in self.events.iter().enumerate() {
             let until = match event.what {
@@ -140,25 +140,13 @@ impl Situation {
                 What::Switch { .. } | What::Session(_) => continue,
                 _ => event.until,
             };
-            ends.push((until, until - event.at));
+            ends.push(until);
         }
         // Its boot-up, which nobody acknowledges, is repeated again and again.
         if self.boards.iter().any(|board| board.stored != self.probe.rate) {
-            ends.push((self.probe.at, 0));
+            ends.push(self.probe.at);
         }
-        let calm = ends.iter().map(|(until, _)| *until).max()?;
-        Some((calm, ends.iter().map(|(_, span)| *span).max()?))
-    }
-
-    /// Whether a master sends requests at another rate than the probe's.
-    pub fn has_foreign_requests(&self) -> bool {
-        self.events.iter().any(|event| match event.what {
-            What::Master(Master::Syncs(rate, _) | Master::Polls(rate, _)) => {
-                rate != self.probe.rate
-            }
-            What::Foreign(foreign) => foreign.traffic == Traffic::Requests,
-            _ => false,
-        })
+        ends.into_iter().max()
     }
 
     /// The end of the last switch, in milliseconds. The request itself takes up to 13 ms.

@@ -9,7 +9,7 @@ use testkit::{
     settings::settings,
 };
 
-/// The greatest number of stores in a life, which fills a bank of four records.
+/// The greatest number of stores in a life.
 const STORES: usize = 3;
 
 /// The longest parameters, which take the space of two records.
@@ -31,22 +31,20 @@ pub struct Histories {
 /// The histories that are tried, with at most these lives: those of settings, those of parameters.
 pub fn all((lives, of_parameters): (usize, usize)) -> Vec<Histories> {
     let mut all = vec![
-        histories::<0, 4, 128>(lives, BLANK),
-        histories::<0, 4, 96>(lives, BLANK),
-        histories::<0, 4, 128>(lives - 1, GARBAGE),
-        histories::<0, 4, 256>(lives - 1, BLANK),
-        histories::<PACKED_LEN, 4, 192>(of_parameters, BLANK),
-        histories::<PACKED_LEN, 4, 256>(of_parameters, BLANK),
-        histories::<PACKED_LEN, 4, 512>(of_parameters, BLANK),
+        // Eight places are kept for starts.
+        histories::<0, 4, { 12 * 40 }>(lives, BLANK),
+        histories::<0, 4, { 12 * 40 }>(lives - 1, GARBAGE),
+        histories::<0, 4, { 16 * 40 }>(lives - 1, BLANK),
+        histories::<PACKED_LEN, 4, { 16 * 40 }>(of_parameters, BLANK),
+        histories::<PACKED_LEN, 4, { 20 * 40 }>(of_parameters, BLANK),
         // Units of a word are those of the board. Smaller ones have more steps.
-        histories::<0, 1, 128>(lives - 1, BLANK),
-        histories::<0, 2, 128>(lives - 1, BLANK),
-        histories::<PACKED_LEN, 1, 256>(of_parameters - 1, BLANK),
-        histories::<PACKED_LEN, 2, 256>(of_parameters - 1, BLANK),
-        // Eight places are kept for starts where units are larger.
-        histories::<0, 8, { 11 * 48 }>(lives - 1, BLANK),
-        histories::<0, 16, { 11 * 64 }>(lives - 1, BLANK),
-        histories::<0, 32, { 11 * 96 }>(lives - 1, BLANK),
+        histories::<0, 1, { 12 * 40 }>(lives - 1, BLANK),
+        histories::<0, 2, { 12 * 40 }>(lives - 1, BLANK),
+        histories::<PACKED_LEN, 1, { 16 * 40 }>(of_parameters - 1, BLANK),
+        histories::<PACKED_LEN, 2, { 16 * 40 }>(of_parameters - 1, BLANK),
+        histories::<0, 8, { 12 * 48 }>(lives - 1, BLANK),
+        histories::<0, 16, { 12 * 64 }>(lives - 1, BLANK),
+        histories::<0, 32, { 12 * 96 }>(lives - 1, BLANK),
         histories::<0, 8, { 12 * 48 }>(lives - 1, GARBAGE),
         histories::<PACKED_LEN, 8, { 14 * 48 }>(of_parameters - 1, BLANK),
         histories::<PACKED_LEN, 16, { 14 * 64 }>(of_parameters - 1, BLANK),
@@ -86,7 +84,7 @@ fn unit(bytes: usize) -> String {
 fn histories<const P: usize, const W: usize, const E: usize>(lives: usize, first: u8) -> Histories {
     let content = if first == BLANK { "blank" } else { "garbage" };
     let stored = if P > 0 { ", parameters" } else { "" };
-    let places = E / if W > 4 { 32 + 2 * W } else { 32 };
+    let places = E / (32 + 2 * W.max(4));
     let description = format!(
         "{}, {lives} power-ons, 2 banks of {places} places, {content} first{stored}",
         unit(W)

@@ -10,7 +10,7 @@ use std::{
 use can_bus::bus::Bus;
 use canopen_node::{BitRate, NodeId, Settings, lss::Address};
 use clap::Parser;
-use commission::{Arguments, Session};
+use lss::{Arguments, Session};
 use testkit::{
     flash::BoardFlash,
     node_rig::{NodeRig, device},

@@ -13,19 +13,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use canopen_node::{BitRate, NodeId, lss::Address};
+use canopen_node::BitRate;
 
-use crate::{
-    address,
-    arguments::Apply,
-    commands::{set_id::reset, set_rate},
-    failure::Failure,
-    session::Session,
-};
+use crate::{address, arguments::Apply, commands::set_rate, failure::Failure, session::Session};
 use found::{Found, Values};
 use plan::{Plan, counted};
-use values::Done;
-use wishes::{Network, Node};
+use wishes::Network;
 
 /// The switch delay of another bit rate in ms, as that of `lss set-rate`.
 const SWITCH_DELAY: u16 = 500;
@@ -157,8 +150,7 @@ fn work(
             continue;
         }
         let is_new = before != Some(id);
-        let outcome =
-            values_of(session, node, place.address, id, is_new, stores_again, trusts_stamps);
+        let outcome = values::apply(session, id, &place.address, node, stores_again, trusts_stamps);
         let done = match outcome {
             Ok(done) => done,
             Err(failure) => {
@@ -191,27 +183,6 @@ fn work(
         }
     }
     Ok(problems)
-}
-
-/// Brings a node to its values. One with a new node-ID is reset once: it has stored it.
-fn values_of(
-    session: &mut Session<'_>,
-    node: &Node,
-    address: Address,
-    id: NodeId,
-    is_new: bool,
-    stores_again: bool,
-    trusts_stamps: bool,
-) -> Result<Done, Failure> {
-    // A reset takes the values away from one that cannot store them.
-    if is_new && !node.can_store() {
-        reset(session, id, &address)?;
-    }
-    let done = values::apply(session, id, &address, node, stores_again, trusts_stamps)?;
-    if is_new && node.can_store() && !done.is_verified {
-        reset(session, id, &address)?;
-    }
-    Ok(done)
 }
 
 fn write_dcfs(

@@ -22,9 +22,10 @@ const SEARCH: Duration = Duration::from_millis(100);
 const SEARCH_BITS: u32 = 5_500;
 
 /// What a silent network gets to read.
-const QUIET: &str = "no frame at any bit rate. `lss find --ask` asks at each of them, which is right for boards that \
-    only wait to be asked. It is wrong for a network that runs and was silent for these seconds: a question at another \
-    bit rate disturbs it for a tenth of a second, and a node that sends then may switch itself off (bus-off)";
+const QUIET: &str = "no frame at any bit rate. New boards are silent, at 125 kbit/s: `lss list` shows them. For \
+    other bit rates, `lss find --ask` asks at each of them. Both are right for boards that only wait to be asked, and \
+    wrong for a network that runs and was silent for these seconds: a question at another bit rate disturbs it for a \
+    tenth of a second, and a node that sends then may switch itself off (bus-off)";
 
 /// What boards at different bit rates get to read.
 const MIXED: &str =
@@ -155,7 +156,7 @@ pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<B
 pub fn answers_at(session: &mut Session<'_>, rate: BitRate) -> Result<bool, Failure> {
     let mut sight = Sight::default();
     ask(session, rate, &mut sight)?;
-    Ok(sight.is_blank_there || !sight.nodes.is_empty())
+    Ok(sight.is_anyone_there())
 }
 
 /// Listens without a sign of life on the bus.

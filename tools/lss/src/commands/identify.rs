@@ -2,7 +2,7 @@
 
 use lss_master::{Find, Identify};
 
-use crate::{address, arguments::Ranges, failure::Failure, session::Session};
+use crate::{address, arguments::Ranges, failure::Failure, scan, session::Session};
 
 /// Says whether a board is within the ranges, or which ones are.
 pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failure> {
@@ -29,6 +29,7 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
         let Some(found) = session.carry_out(Find::new(within.clone()))? else { return Ok(()) };
         writeln!(session.out, "{}", address::text(&found))?;
         count += 1;
+        scan::check_count(count, "identify remote slave")?;
         let Some(next) = found.serial_number.checked_add(1) else { return Ok(()) };
         within.serial_numbers = next..=*within.serial_numbers.end();
         if within.serial_numbers.is_empty() {

@@ -68,14 +68,32 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     }
     let duplicates = rows.iter().filter(|row| row.is_duplicate);
     let duplicates = duplicates.filter_map(|row| row.lss_address.as_ref());
-    let duplicates: Vec<String> = duplicates.map(address::text).collect();
-    match duplicates.is_empty() {
-        true => Ok(()),
-        false => Err(Failure::Refused(format!(
+    let mut duplicates: Vec<String> = duplicates.map(address::text).collect();
+    let mut problems = twins(&rows);
+    duplicates.retain(|address| !problems.iter().any(|problem| problem.contains(address)));
+    if !duplicates.is_empty() {
+        problems.push(format!(
             "boards share a node-ID: give all but one another, with `lss set-id ID --reset --address` and one of {}",
             duplicates.join(", ")
-        ))),
+        ));
     }
+    match (problems.is_empty(), rows.iter().any(|row| row.is_duplicate)) {
+        (false, _) => Err(Failure::Refused(problems.join("\n"))),
+        (true, true) => Err(Failure::Refused(
+            "boards share a node-ID, and do not tell their LSS addresses: take all but one off the bus".into(),
+        )),
+        (true, false) => Ok(()),
+    }
+}
+
+/// The words for each pair of boards with one LSS address: the second row follows the first.
+pub fn twins(rows: &[Row]) -> Vec<String> {
+    let twins = rows.windows(2).filter_map(|pair| {
+        let (id, address) = (pair[0].node_id?, pair[0].lss_address?);
+        let is_twin = (pair[1].node_id, pair[1].lss_address) == (Some(id), Some(address));
+        is_twin.then(|| scan::two(&address::text(&address), id))
+    });
+    twins.collect()
 }
 
 /// All nodes: those with a node-ID by SDO, the others by Fastscan. No state is changed.
@@ -126,7 +144,11 @@ pub fn node(
     let is_duplicate = serial_numbers.len() > 1;
     let mut numbers = [None; 3];
     for (number, sub_index) in numbers.iter_mut().zip(1..) {
-        *number = sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?.ok();
+        *number = match is_duplicate {
+            // Each of them may answer.
+            true => scan::answers_of(session, id, sub_index)?.first().copied(),
+            false => sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?.ok(),
+        };
     }
     let mut text = |index| -> Result<Option<String>, Failure> {
         // Two nodes that answer together spoil a transfer in segments.

@@ -46,10 +46,15 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
         now.sort_unstable();
         let is_same = now == numbers;
         match (absent.contains(&id), is_same) {
-            (false, true) => problems.extend(stored_rate(session, id)?),
-            (true, true) => problems.push(format!(
-                "node {id} answers, but has not booted up: its power was not switched"
-            )),
+            (is_absent, true) => {
+                // A guest at a bit rate that it has found boots up with its first answer.
+                let not_switched = || {
+                    is_absent.then(|| {
+                        format!("node {id} answers, but has not booted up: its power was not switched")
+                    })
+                };
+                problems.extend(stored_rate(session, id)?.or_else(not_switched));
+            }
             (_, false) if now.is_empty() => problems.push(format!(
                 "node {id} has not come back within {} s: serial number {}. `lss find` looks for it at other bit rates",
                 NEXT.as_secs(),

@@ -1,6 +1,6 @@
 //! `lss set-rate`: another bit rate for the whole network, or for nobody.
 
-use can_bus::bus::Masters;
+use can_bus::{bus::Masters, stop::Stop};
 use canopen_node::{
     BitRate,
     lss::{Address, Request},
@@ -23,55 +23,159 @@ pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result
             "the bit rate of this interface must stay: name it without @KBIT".into(),
         ));
     }
-    let mut members = plan(session)?;
+    let members = plan(session)?;
     session.progress.clear();
     writeln!(session.out, "plan: {} boards from {from} to {to}", members.len())?;
     session.bus.check_interrupt()?;
     // Halfway the boards could not be found again: neither Ctrl-C nor another master ends the switch.
     session.bus.hold_interrupt(true);
-    session.bus.mind(Masters::None);
-    session.progress.say(|| format!("switching to {to}"));
-    let switched = session.bus.carry_out(SwitchBitRate::new(&mut members, from, to, delay_ms))?;
-    if switched.is_err() && session.bus.rate() == from {
-        return Err(Failure::Refused(format!("{}; nothing was switched", problems(&members))));
-    }
-    if switched.is_err() {
-        let why = format!("at {to}: {}", problems(&members));
-        return go_back(session, &members, (to, from), delay_ms, &why);
-    }
-    session.bus.hold_interrupt(false);
-    let is_interrupted = session.bus.check_interrupt();
-    session.bus.hold_interrupt(true);
-    if let Err(stop) = is_interrupted {
-        let outcome = go_back(session, &members, (to, from), delay_ms, "interrupted");
-        if let Err(failure) = outcome {
+    session.bus.mind(Masters::LssAsInterrupt);
+    let mut switch = Switch { members, from, to, delay_ms, stored: None, is_back: false };
+    let outcome = switch.carry_out(session);
+    match (outcome, interruption(session)) {
+        (Err(Failure::Stop(Stop::AdapterGone(why))), _) => {
+            Err(Stop::AdapterGone(format!("{why}. {}", switch.whereabouts())).into())
+        }
+        (Err(failure), Err(stop)) => {
             writeln!(session.out, "{failure}")?;
+            Err(stop.into())
         }
-        return Err(stop.into());
+        (Ok(()), Err(stop @ Stop::OtherMaster(_))) => Err(stop.into()),
+        (outcome, _) => outcome,
     }
-    for number in 0..members.len() {
-        let Member { address, .. } = members[number];
-        session.progress.say(|| format!("storing {} of {}", number + 1, members.len()));
-        if let Err(failure) = store(session, address) {
-            let why = format!("board {}: {failure}", address::text(&address));
-            let stored: Vec<Address> =
-                members[..=number].iter().map(|member| member.address).collect();
-            let outcome = go_back(session, &members, (to, from), delay_ms, &why);
-            // The last one may have stored, too, and its answer may be lost.
-            for address in stored {
-                let _ = store(session, address);
+}
+
+/// The Ctrl-C or the other master that waits.
+fn interruption(session: &mut Session<'_>) -> Result<(), Stop> {
+    session.bus.hold_interrupt(false);
+    let interruption = session.bus.check_interrupt();
+    session.bus.hold_interrupt(true);
+    interruption
+}
+
+/// A switch of the whole network.
+struct Switch {
+    members: Vec<Member>,
+    from: BitRate,
+    to: BitRate,
+    delay_ms: u16,
+    /// The number of boards that have stored the new bit rate, once the first is about to.
+    stored: Option<usize>,
+    /// The boards go back to the old one.
+    is_back: bool,
+}
+
+impl Switch {
+    fn carry_out(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+        let &mut Self { from, to, delay_ms, .. } = self;
+        session.progress.say(|| format!("switching to {to}"));
+        let switched =
+            session.bus.carry_out(SwitchBitRate::new(&mut self.members, from, to, delay_ms))?;
+        if switched.is_err() && session.bus.rate() == from {
+            let why = problems(&self.members);
+            return Err(Failure::Refused(format!("{why}; nothing was switched")));
+        }
+        if switched.is_err() {
+            let why = format!("at {to}: {}", problems(&self.members));
+            return self.go_back(session, &why);
+        }
+        if let Err(stop) = interruption(session) {
+            let is_other_master = matches!(stop, Stop::OtherMaster(_));
+            let why = if is_other_master { "another master" } else { "interrupted" };
+            return self.go_back(session, why);
+        }
+        for number in 0..self.members.len() {
+            self.stored = Some(number);
+            let Member { address, .. } = self.members[number];
+            session.progress.say(|| format!("storing {} of {}", number + 1, self.members.len()));
+            match store(session, address) {
+                Err(failure @ Failure::Stop(_)) => return Err(failure),
+                Err(failure) => {
+                    let why = format!("board {}: {failure}", address::text(&address));
+                    let outcome = self.go_back(session, &why);
+                    // The last one may have stored, too, and its answer may be lost.
+                    for member in &self.members[..=number] {
+                        if let Err(stop @ Failure::Stop(_)) = store(session, member.address) {
+                            return Err(stop);
+                        }
+                    }
+                    return outcome;
+                }
+                Ok(()) => {}
             }
-            return outcome;
+        }
+        let count = self.members.len();
+        writeln!(session.out, "all {count} boards answer at {to} and have stored it")?;
+        Ok(())
+    }
+
+    /// Takes all boards that came back to the old bit rate. Always fails, with `why` and with who is missing.
+    fn go_back(&mut self, session: &mut Session<'_>, why: &str) -> Result<(), Failure> {
+        let &mut Self { from, to, delay_ms, .. } = self;
+        self.is_back = true;
+        let mut rest = self.members.clone();
+        rest.retain(|member| member.outcome.is_ok());
+        // Another one may be lost on the way: the others do not wait for it.
+        while !rest.is_empty() {
+            let _ = session.bus.carry_out(SwitchBitRate::new(&mut rest, to, from, delay_ms))?;
+            if session.bus.rate() == from {
+                break;
+            }
+            rest.retain(|member| member.outcome.is_ok());
+        }
+        session.bus.open(from)?;
+        let mut missing = Vec::new();
+        for Member { address, .. } in &self.members {
+            // One that did not follow may still have the new bit rate pending.
+            let index = Request::ConfigureBitTiming { table: 0, index: from.index() };
+            let back = session
+                .carry_out(SelectAlone::new(*address))
+                .and_then(|()| session.carry_out(index));
+            match back {
+                Ok(()) => {}
+                Err(stop @ Failure::Stop(_)) => return Err(stop),
+                Err(_) => missing.push(address::text(address)),
+            }
+        }
+        let there = self.members.len() - missing.len();
+        let mut words = format!("{why}. Nothing is stored; {there} boards are at {from} again");
+        if !missing.is_empty() {
+            words += &format!(", missing: {}", missing.join(", "));
+        }
+        Err(Failure::Refused(words))
+    }
+
+    /// Where the boards may be when the adapter is gone.
+    fn whereabouts(&self) -> String {
+        let &Self { from, to, .. } = self;
+        let all = self.members.len();
+        match self.stored {
+            None => format!(
+                "Nothing is stored: the boards are at {from}, or at {to} until their power is off"
+            ),
+            Some(count) if self.is_back => format!(
+                "The boards are at {from}, or at {to} until their power is off, and up to {} of {all} have stored {to}",
+                count + 1
+            ),
+            Some(count) => {
+                let rate = to.kbit_per_s();
+                format!(
+                    "All boards are at {to}, and at least {count} of {all} have stored it. While they have power, \
+                     `lss set-rate {rate} --bit-rate {rate}` lets all store it"
+                )
+            }
         }
     }
-    writeln!(session.out, "all {} boards answer at {to} and have stored it", members.len())?;
-    Ok(())
 }
 
 /// The boards of the network, each of which can be selected.
 fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
+    let rows = list::rows(session)?;
+    if let Some(twins) = list::twins(&rows).pop() {
+        return Err(Failure::Refused(twins));
+    }
     let mut members = Vec::new();
-    for row in list::rows(session)? {
+    for row in rows {
         let Some(address) = row.lss_address else {
             return Err(Failure::Refused(format!(
                 "{} does not tell its LSS address: it cannot be switched with the others. Take it off the bus",
@@ -84,43 +188,6 @@ fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
         true => Err(Failure::nobody(session.bus.rate())),
         false => Ok(members),
     }
-}
-
-/// Takes all boards that came back to the old bit rate. Always fails, with `why` and with who is missing.
-fn go_back(
-    session: &mut Session<'_>,
-    members: &[Member],
-    (from, to): (BitRate, BitRate),
-    delay_ms: u16,
-    why: &str,
-) -> Result<(), Failure> {
-    let mut rest = members.to_vec();
-    rest.retain(|member| member.outcome.is_ok());
-    // Another one may be lost on the way: the others do not wait for it.
-    while !rest.is_empty() {
-        let _ = session.bus.carry_out(SwitchBitRate::new(&mut rest, from, to, delay_ms))?;
-        if session.bus.rate() == to {
-            break;
-        }
-        rest.retain(|member| member.outcome.is_ok());
-    }
-    session.bus.open(to)?;
-    let mut missing = Vec::new();
-    for Member { address, .. } in members {
-        // One that did not follow may still have the new bit rate pending.
-        let index = Request::ConfigureBitTiming { table: 0, index: to.index() };
-        let back =
-            session.carry_out(SelectAlone::new(*address)).and_then(|()| session.carry_out(index));
-        if back.is_err() {
-            missing.push(address::text(address));
-        }
-    }
-    let there = members.len() - missing.len();
-    let mut words = format!("{why}. Nothing is stored; {there} boards are at {to} again");
-    if !missing.is_empty() {
-        words += &format!(", missing: {}", missing.join(", "));
-    }
-    Err(Failure::Refused(words))
 }
 
 fn store(session: &mut Session<'_>, address: Address) -> Result<(), Failure> {

@@ -1,45 +1,12 @@
 //! Another board in the place of one in the table: the file keeps its order, its comments and all other keys.
 
-use std::{
-    fs, io,
-    path::{Path, PathBuf},
-};
-
 use canopen_node::{NodeId, lss::Address};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
-use super::Table;
 use crate::address;
 
-impl Table {
-    /// Gives the place of a node-ID to another board. The file is the old one or the new one at any time.
-    pub fn replace(&mut self, id: NodeId, board: Address) -> io::Result<()> {
-        let text = fs::read_to_string(&self.path)?;
-        let replaced = replaced(&text, id, &board);
-        let replaced = replaced.ok_or_else(|| {
-            io::Error::other(format!("{} has no node {} any more", self.path.display(), id.get()))
-        })?;
-        let new = beside(&self.path);
-        fs::write(&new, replaced)?;
-        fs::rename(&new, &self.path)?;
-        for (place, address) in &mut self.entries {
-            if *place == id {
-                *address = board;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// A file in the same folder.
-fn beside(path: &Path) -> PathBuf {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".new");
-    path.with_file_name(name)
-}
-
 /// The text with another address for a node-ID; `None` if it does not have it.
-fn replaced(text: &str, id: NodeId, board: &Address) -> Option<String> {
+pub fn replaced(text: &str, id: NodeId, board: &Address) -> Option<String> {
     let mut document: DocumentMut = text.parse().ok()?;
     let is_done = match document.get_mut("node")? {
         Item::ArrayOfTables(tables) => tables.iter_mut().any(|table| set(table, id, board)),

@@ -9,7 +9,7 @@ use std::{
 };
 
 use canopen_node::BitRate;
-use testkit::image::Firmware;
+use testkit::{cargo, image::Firmware};
 
 use crate::{
     assign::entry,
@@ -20,11 +20,13 @@ use interrupted::{assert_exchanged, exchange};
 
 const RATE: BitRate = BitRate::Kbit125;
 /// The data sheet of the boards.
-const EDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../eds/io.eds");
+fn eds() -> String {
+    cargo::workspace().join("eds/io.eds").display().to_string()
+}
 
 /// A folder for one test, without what an earlier run has left.
 fn folder(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("apply").join(name);
+    let path = cargo::scratch("apply").join(name);
     let _ = fs::remove_dir_all(&path);
     fs::create_dir_all(&path).expect("it can be made");
     path
@@ -42,7 +44,7 @@ fn node(id: u8, board: usize) -> String {
 }
 
 fn node_with(id: u8, board: usize, values: &str) -> String {
-    node_of(Path::new(EDS), id, board, values)
+    node_of(Path::new(&eds()), id, board, values)
 }
 
 fn node_of(sheet: &Path, id: u8, board: usize, values: &str) -> String {
@@ -52,7 +54,7 @@ fn node_of(sheet: &Path, id: u8, board: usize, values: &str) -> String {
 
 /// A data sheet with some of the objects, which is read faster.
 fn short_sheet(test: &str, objects: &[&str]) -> PathBuf {
-    let text = fs::read_to_string(EDS).expect("the data sheet");
+    let text = fs::read_to_string(eds()).expect("the data sheet");
     let is_kept = |section: &&str| {
         let is_head = !section.starts_with(|first: char| first.is_ascii_digit());
         is_head || objects.iter().any(|object| section.starts_with(object))
@@ -278,7 +280,19 @@ fn the_network_comes_to_the_bit_rate_of_the_table_and_new_boards_with_it() {
     );
     assert_eq!(quiet.apply(&file, "--bit-rate 125").0.code, 0);
     assert_exchanged(&quiet, "500 kbit/s, quiet");
+    // The board that was new sends a heartbeat.
+    quiet.set(2, 0x1017, 0, &[0, 0]);
+    assert_eq!(quiet.apply(&file, "").0.code, 0);
     assert_done(&quiet, &file);
+}
+
+#[test]
+fn a_silent_network_at_the_bit_rate_of_the_table_is_configured() {
+    let file = file("rate-silent", &exchange("rate-silent", 500));
+    let wire = Wire::new(BitRate::Kbit500, &[5, 6, 7]);
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    assert_exchanged(&wire, "500 kbit/s, silent");
 }
 
 #[test]
@@ -349,7 +363,7 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
 #[test]
 fn release_images_are_brought_to_the_table_and_keep_it_without_power() {
     let boards = Boards::unattended(Firmware::Io, &[(5, RATE), (6, RATE), (0xFF, RATE)], 1000);
-    let values = format!("eds = \"{EDS}\"\n[node.values]\n{VALUES}");
+    let values = format!("eds = \"{}\"\n[node.values]\n{VALUES}", eds());
     let text = format!("bit_rate = 500\n{}{values}\n{}{}", entry(6, 0), entry(5, 1), entry(7, 2));
     let file = file("image", &text);
     let apply = |options: &str| boards.lss(&format!("apply {} {options}", file.display()));
@@ -430,5 +444,15 @@ fn known_boards_without_a_node_id_are_not_scanned() {
     let scans = wire.world().sent.iter().filter(is_scan).count();
     // Each bit of the unknown one.
     assert!((100..300).contains(&scans), "{scans}");
+    assert_done(&wire, &file);
+}
+
+#[test]
+fn a_text_with_zeros_behind_it_is_the_same_text() {
+    let wire = Wire::new(RATE, &[5]);
+    wire.world().pads_texts = true;
+    let file = file("padded", &node_with(5, 0, "\"2101:3\" = \"Ada\"\n\"2100\" = 4"));
+    let (outcome, _) = wire.apply(&file, "");
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
     assert_done(&wire, &file);
 }

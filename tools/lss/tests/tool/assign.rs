@@ -7,6 +7,7 @@ use std::{
 
 use canopen_node::BitRate;
 use emulator::Time;
+use testkit::cargo;
 
 use crate::emulated::{Boards, address, address_text};
 
@@ -16,7 +17,7 @@ const INDEX: u8 = 4;
 
 /// A file that does not exist yet.
 pub fn new_file(name: &str) -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let path = cargo::scratch(name);
     // It exists if the test ran before.
     let _ = fs::remove_file(&path);
     path
@@ -206,4 +207,36 @@ fn no_board_gets_a_node_id_that_the_table_cannot_keep() {
         boards.assert_waiting(RATE);
     }
     assert_eq!(fs::read_to_string(&inline).expect("it is there"), text);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_table_that_is_a_link_stays_one_and_keeps_its_mode() {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+    // A new board, and one that takes over a place.
+    for (text, expected) in [
+        (entry(9, 1), format!("{}\n{}", entry(9, 1), entry(1, 0))),
+        (entry(9, 1) + &entry(5, 7), entry(9, 1) + &entry(5, 0)),
+    ] {
+        let (link, file) = (new_file("link.toml"), new_file("linked.toml"));
+        fs::write(&file, &text).expect("it can be written");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o604)).expect("a mode");
+        symlink("linked.toml", &link).expect("a link");
+        let boards = Boards::new(RATE, &[0xFF, 9]);
+        assert_eq!(boards.lss(&format!("assign --yes --table {}", link.display())).code, 0);
+        assert!(fs::symlink_metadata(&link).expect("it is there").is_symlink());
+        let metadata = fs::symlink_metadata(&file).expect("it is there");
+        assert_eq!(metadata.permissions().mode() & 0o777, 0o604);
+        assert_eq!(fs::read_to_string(&file).expect("it is there"), expected);
+        assert!(!file.with_file_name("linked.toml.new").exists());
+    }
+}
+
+#[test]
+fn a_board_that_refuses_its_node_id_does_not_come_into_the_table() {
+    let boards = Boards::new(RATE, &[0xFF]);
+    boards.unsupported.set(Some(0x17));
+    let path = new_file("refused.toml");
+    assert_eq!(boards.lss(&format!("assign --table {}", path.display())).code, 1);
+    assert!(!path.exists() && !path.with_file_name("refused.toml.new").exists());
 }

@@ -23,16 +23,14 @@ use canopen_node::{
     settings::Log,
 };
 use clap::Parser;
-use commission::{Arguments, Recorder, Session};
 use emulator::{Time, network::Network};
 use firmware::device::DEVICE;
+use lss::{Arguments, Recorder, Session};
 use testkit::{
     flash::BoardFlash,
     image::Firmware,
-    image_rig::{
-        ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, bit_per_s, blank_board, board_with,
-        from_the_wire, on_the_wire, settings,
-    },
+    image_rig::{ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, blank_board, board_with, settings},
+    wire::{bit_per_s, from_the_wire, on_the_wire},
 };
 
 /// The NMT command reset node.
@@ -70,6 +68,8 @@ pub struct Outcome {
     pub error: String,
     /// The answer time of a slow slave that the person was told of.
     pub slow_answer: Option<Duration>,
+    /// The serial numbers that the person was told to be there twice.
+    pub twice: Vec<u32>,
 }
 
 impl Boards {
@@ -197,13 +197,14 @@ pub fn run(
     prepare(&mut session);
     let outcome = session.run(&arguments);
     let slow_answer = session.slow_answer;
+    let twice = std::mem::take(&mut session.twice);
     let text = String::from_utf8(out).expect("UTF-8");
     let (code, error) = match outcome {
         Ok(()) => (0, String::new()),
         Err(failure) => (failure.exit_code(), failure.to_string()),
     };
     println!("{text}{error}");
-    Outcome { text, code, error, slow_answer }
+    Outcome { text, code, error, slow_answer, twice }
 }
 
 /// The LSS address of the board with this number.

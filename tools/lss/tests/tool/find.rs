@@ -94,3 +94,12 @@ fn nodes_that_send_at_two_bit_rates_are_both_heard_and_told() {
         assert!(outcome.text.contains(&format!("boards run at {rate} kbit/s\nheard: ")));
     }
 }
+
+#[test]
+fn new_boards_are_silent_and_the_user_is_told_of_the_list() {
+    let outcome = Boards::new(BitRate::Kbit125, &[NONE, NONE]).lss("find");
+    assert_eq!(outcome.code, 3);
+    let words =
+        "no frame at any bit rate. New boards are silent, at 125 kbit/s: `lss list` shows them";
+    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+}

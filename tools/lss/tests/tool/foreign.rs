@@ -1,9 +1,10 @@
 //! Slaves of others, with the faults that people meet, on a bus within the process.
 
-use std::{fs, path::Path, sync::Arc};
+use std::{fs, sync::Arc};
 
 use canopen_node::{BitRate, NodeId, Settings, lss::Address};
 use testkit::{
+    cargo,
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, device},
     random::Random,
@@ -20,9 +21,15 @@ impl Slaves {
     /// Slaves without a node-ID at 125 kbit/s, with random serial numbers, and these habits.
     fn new(habits: impl IntoIterator<Item = Habits>) -> Self {
         let mut random = Random::from_environment();
+        let habits: Vec<_> = habits.into_iter().map(|habits| (random.u32() | 1, habits)).collect();
+        Self::with_serial_numbers(habits, &mut random)
+    }
+
+    /// The same with these serial numbers.
+    fn with_serial_numbers(habits: Vec<(u32, Habits)>, random: &mut Random) -> Self {
         let mut slaves = Vec::new();
-        for habits in habits {
-            let address = Address { serial_number: random.u32() | 1, ..ADDRESS };
+        for (serial_number, habits) in habits {
+            let address = Address { serial_number, ..ADDRESS };
             let defaults = Settings::new(BitRate::Kbit125.into()).with_heartbeat_ms(1000);
             let device = device(address).with_defaults(defaults);
             slaves.push((NodeRig::with_device(device, BoardFlash::blank(0), 0), habits));
@@ -144,7 +151,7 @@ fn slaves_without_a_boot_up_message_get_a_node_id() {
 #[test]
 fn slaves_without_fastscan_are_found_by_identify_if_the_product_is_known() {
     let without = &[0x51];
-    let table = Path::new(env!("CARGO_TARGET_TMPDIR")).join("without-fastscan.toml");
+    let table = cargo::scratch("without-fastscan.toml");
     // Whether the slaves answer at the same moment is a matter of chance.
     for _ in 0..6 {
         let slaves = Slaves::new([(); 3].map(|()| Habits { without, ..Habits::default() }));
@@ -155,5 +162,90 @@ fn slaves_without_fastscan_are_found_by_identify_if_the_product_is_known() {
         fs::write(&table, format!("[[node]]\nid = 2\naddress = \"{known}\"\n")).expect("a table");
         slaves.done(&format!("assign --table {}", table.display()));
         slaves.assert_assigned();
+    }
+}
+
+#[test]
+fn a_device_that_answers_every_fastscan_question_ends_the_scan() {
+    let claims_all = || Habits { claims_all: true, ..Habits::default() };
+    for habits in [vec![claims_all()], vec![Habits::default(), claims_all()]] {
+        for (command, words) in [
+            ("list", "more than 127 boards answer to Fastscan"),
+            ("set-rate 500", "more than 127 boards answer to Fastscan"),
+            ("assign", "the answers contradict each other"),
+        ] {
+            let slaves = Slaves::new(habits.clone());
+            let outcome = slaves.lss(command);
+            assert_eq!(outcome.code, 1);
+            assert!(outcome.error.starts_with(words), "{}", outcome.error);
+            let ms = slaves.adapter.bus().now() / 1_000;
+            assert!(ms < 20_000, "{ms} ms");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_answers_every_identify_question_ends_the_search() {
+    let slaves = Slaves::new([Habits { claims_all: true, ..Habits::default() }]);
+    let outcome = slaves.lss("identify --vendor 1 --product 2 --each");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.starts_with("more than 127 boards"), "{}", outcome.error);
+}
+
+#[test]
+fn two_boards_with_one_lss_address_are_no_success() {
+    // Answers at the same moment would be one frame.
+    let takes =
+        |us: u64| Habits { answer_us: us..us + 1, other_us: us..us + 1, ..Habits::default() };
+    let habits = vec![(1, takes(100)), (1, takes(250))];
+    let slaves = Slaves::with_serial_numbers(habits, &mut Random::from_seed(1));
+    let listed = slaves.lss("list");
+    assert_eq!((listed.code, listed.twice), (0, vec![1]), "the boards have no node-ID yet");
+    let outcome = slaves.lss("assign");
+    assert_eq!((outcome.code, outcome.twice), (1, vec![1]));
+    let address = slaves.address(0);
+    let words = format!("2 boards have the LSS address {address}, and both are node 1");
+    assert!(outcome.error.contains(&words), "{}", outcome.error);
+    assert!(!outcome.text.contains("verified"), "{}", outcome.text);
+    // The next runs see it, too.
+    let table = cargo::scratch("twins.toml");
+    let entry = format!("[[node]]\nid = 1\naddress = \"{address}\"\n");
+    fs::write(&table, entry).expect("a table");
+    let commands = ["list", "assign", "set-rate 500"].map(str::to_owned);
+    let with_table = ["apply", "assign --table"].map(|name| format!("{name} {}", table.display()));
+    for command in commands.iter().chain(&with_table) {
+        let outcome = slaves.lss(command);
+        assert_eq!(outcome.code, 1, "{command}");
+        assert!(outcome.error.contains(&words), "{command}: {}", outcome.error);
+    }
+}
+
+#[test]
+fn a_board_that_answers_twice_is_not_taken_for_two_boards() {
+    for again_us in [300, 5_000] {
+        let habits = Habits { again_us, other_us: 50..900, ..Habits::default() };
+        let slaves = Slaves::new([habits.clone(), habits]);
+        slaves.done("assign");
+        slaves.assert_assigned();
+        slaves.done("list");
+    }
+}
+
+#[test]
+fn a_board_whose_answers_are_too_short_is_told() {
+    let Address { vendor_id, product_code, .. } = ADDRESS;
+    let identify = format!("identify --vendor {vendor_id} --product {product_code}");
+    for answer_bytes in [1, 5] {
+        let short = || Habits { answer_bytes, ..Habits::default() };
+        for habits in [vec![short()], vec![Habits::default(), short()]] {
+            for command in ["list", "assign", "find --ask", &identify] {
+                let outcome = Slaves::new(habits.clone()).lss(command);
+                assert_eq!(outcome.code, 1, "{command}");
+                let words = format!(
+                    "a device answers LSS requests with {answer_bytes} bytes, and not with 8"
+                );
+                assert!(outcome.error.contains(&words), "{command}: {}", outcome.error);
+            }
+        }
     }
 }

@@ -3,7 +3,7 @@
 
 use std::{
     cell::{RefCell, RefMut},
-    collections::VecDeque,
+    collections::{BTreeMap, VecDeque},
     path::Path,
     rc::Rc,
     sync::{
@@ -17,7 +17,11 @@ use can_bus::{
     adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
     stop::Stop,
 };
-use canopen_node::{BitRate, Frame, NodeId, lss::Address, nmt};
+use canopen_node::{
+    BitRate, Frame, NodeId,
+    lss::{Address, Request},
+    nmt,
+};
 use example_io::{
     application::{Application, PRODUCERS, RPDOS, TPDOS},
     device::DEVICE,
@@ -48,6 +52,35 @@ pub enum Fault {
     AdapterGoneBehind,
     /// The board with this number is off the bus, and has no power.
     BoardGone(usize),
+    /// Another master brings all boards to LSS configuration state before the frame.
+    OtherMaster,
+}
+
+/// What a board does that it must not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Defect {
+    /// It refuses the LSS request with this command specifier.
+    Refuses(u8),
+    /// It stores, and says that it cannot.
+    DeniesItsStore,
+    /// It is off the bus, and has no power, from store configuration on.
+    DiesAtStore,
+    /// It says that it takes a node-ID, and does not.
+    Disobeys,
+    /// It says that it has stored, and has not.
+    Forgets,
+    /// It ignores NMT resets.
+    IgnoresResets,
+    /// It loses a node-ID when it hears a Fastscan.
+    LosesItsNodeId,
+    /// Another board is in its place after a reset: that with this number.
+    IsReplacedAtReset(usize),
+    /// Another board comes to the bus at its reset: that with this number.
+    IsJoinedAtReset(usize),
+    /// Its first boot-up messages are lost.
+    LosesBootUps(usize),
+    /// Its first answers to SDO are lost.
+    LosesAnswers(usize),
 }
 
 /// When it goes wrong: at a write, or at a frame from the first write on, from 0 on.
@@ -85,11 +118,16 @@ pub struct World {
     /// An LSS request that the boards refuse: its command specifier, and the byte behind it.
     pub refused: Option<[u8; 2]>,
     is_adapter_gone: bool,
+    /// The boards that are plugged in or pulled out, and when, in microseconds.
+    hands: BTreeMap<u64, (usize, bool)>,
+    /// Texts of the object 2101h:3 have a zero behind them.
+    pub pads_texts: bool,
 }
 
 pub struct Board {
     pub rig: Rig,
     pub is_there: bool,
+    pub defect: Option<Defect>,
 }
 
 /// The LSS address of the board with this number.
@@ -132,6 +170,7 @@ impl Wire {
             Board {
                 rig: Rig::with_application(device, flash, 0, Application::new()),
                 is_there: true,
+                defect: None,
             }
         };
         let world = World {
@@ -147,6 +186,8 @@ impl Wire {
             has_begun: false,
             refused: None,
             is_adapter_gone: false,
+            hands: BTreeMap::new(),
+            pads_texts: false,
         };
         Self {
             world: Rc::new(RefCell::new(world)),
@@ -177,6 +218,18 @@ impl Wire {
         self.world().fault = Some((fault, at));
     }
 
+    /// Plugs a board in, or pulls it out, so many seconds from now on.
+    pub fn hand(&self, seconds: u64, board: usize, is_there: bool) {
+        let mut world = self.world();
+        let at = world.now + 1_000_000 * seconds;
+        world.hands.insert(at, (board, is_there));
+    }
+
+    /// The virtual time in seconds.
+    pub fn seconds(&self) -> u64 {
+        self.world().now / 1_000_000
+    }
+
     /// Mends what went wrong, before another run; true if something did.
     pub fn mend(&self) -> bool {
         // It may have come at the last frame.
@@ -184,6 +237,7 @@ impl Wire {
         let mut world = self.world();
         let has_happened = world.fault.take().is_none();
         world.is_adapter_gone = false;
+        world.hands.clear();
         for board in &mut world.boards {
             if !board.is_there {
                 board.is_there = true;
@@ -243,8 +297,17 @@ impl World {
     fn run(&mut self, end: u64, stops_at_frames: bool) {
         while self.now < end && (!stops_at_frames || self.received.is_empty()) {
             let deadlines = self.boards.iter().filter_map(|board| board.rig.us_to_deadline());
-            let step = deadlines.min().unwrap_or(u64::MAX).clamp(1, end - self.now);
+            let hand = self.hands.keys().next().map(|at| at.saturating_sub(self.now));
+            let step = deadlines.chain(hand).min().unwrap_or(u64::MAX).clamp(1, end - self.now);
             self.now += step;
+            if let Some(hand) = self.hands.first_entry().filter(|hand| *hand.key() <= self.now) {
+                let (number, is_there) = hand.remove();
+                self.boards[number].is_there = is_there;
+                if is_there {
+                    let frames = self.boards[number].rig.power_cycle().0;
+                    self.take(number, frames);
+                }
+            }
             for number in 0..self.boards.len() {
                 let frames = self.boards[number].rig.pass_us(step).0;
                 self.take(number, frames);
@@ -254,10 +317,24 @@ impl World {
 
     /// Takes frames of a board. Those that several boards send at once and alike are one on the bus.
     fn take(&mut self, number: usize, frames: Vec<Frame>) {
-        let Board { rig, is_there } = &mut self.boards[number];
+        let Board { rig, is_there, defect } = &mut self.boards[number];
         rig.take_actions();
         if *is_there && self.rate == Some(rig.bit_rate()) {
-            for frame in frames {
+            for mut frame in frames {
+                let lost = match (frame.cob_id(), frame.data(), &mut *defect) {
+                    (0x701..=0x77F, [0], Some(Defect::LosesBootUps(left))) => Some(left),
+                    (0x581..=0x5FF, _, Some(Defect::LosesAnswers(left))) => Some(left),
+                    _ => None,
+                };
+                if let Some(left @ 1..) = lost {
+                    *left -= 1;
+                    continue;
+                }
+                if let (true, &[0x47, 0x01, 0x21, 3, a, b, c, d]) = (self.pads_texts, frame.data())
+                {
+                    let padded = [0x43, 0x01, 0x21, 3, a, b, c, d];
+                    frame = Frame::new(frame.cob_id(), &padded).expect("eight bytes");
+                }
                 if !self.received.contains(&frame) {
                     self.received.push_back(frame);
                 }
@@ -298,6 +375,56 @@ impl World {
         next.is_none().then_some(fault)
     }
 
+    /// Lets a board with a defect do something else with a frame; false if it does what it must.
+    fn misbehaves(&mut self, number: usize, frame: &Frame) -> bool {
+        let board = &mut self.boards[number];
+        let Some(defect) = board.defect else { return false };
+        let specifier = frame.data()[0];
+        let reset = [0x81, board.rig.node.node_id().map_or(0, NodeId::get)];
+        if let (
+            nmt::COMMAND_COB_ID,
+            Defect::IsReplacedAtReset(other) | Defect::IsJoinedAtReset(other),
+        ) = (frame.cob_id(), defect)
+            && frame.data() == reset
+        {
+            board.defect = None;
+            board.is_there = matches!(defect, Defect::IsJoinedAtReset(_));
+            self.boards[other].is_there = true;
+            let frames = self.boards[other].rig.power_cycle().0;
+            self.take(other, frames);
+            return !self.boards[number].is_there;
+        }
+        if let (nmt::COMMAND_COB_ID, Defect::IgnoresResets) = (frame.cob_id(), defect) {
+            return true;
+        }
+        if let (0x7E5, 0x51, Defect::LosesItsNodeId) = (frame.cob_id(), specifier, defect)
+            && board.rig.node.node_id().is_some()
+        {
+            board.rig.configure("11 FF, 17");
+            board.rig.power_cycle();
+            board.rig.take_actions();
+        }
+        if frame.cob_id() != 0x7E5 || !board.rig.is_in_configuration_state() {
+            return false;
+        }
+        let code = match (defect, specifier) {
+            (Defect::Refuses(refused), _) if refused == specifier => 1,
+            (Defect::DeniesItsStore, 0x17) => {
+                board.rig.receive(frame);
+                board.rig.take_actions();
+                2
+            }
+            (Defect::DiesAtStore, 0x17) => {
+                board.is_there = false;
+                return true;
+            }
+            (Defect::Disobeys, 0x11) | (Defect::Forgets, 0x17) => 0,
+            _ => return false,
+        };
+        self.received.extend(Frame::new(0x7E4, &[specifier, code, 0, 0, 0, 0, 0, 0]));
+        true
+    }
+
     fn deliver(&mut self, frame: &Frame) {
         let Some(rate) = self.rate else { return };
         let span = FRAME_BITS * 1000 / u64::from(rate.kbit_per_s());
@@ -311,11 +438,13 @@ impl World {
         }
         let mut is_acknowledged = false;
         for number in 0..self.boards.len() {
-            let Board { rig, is_there } = &mut self.boards[number];
+            let Board { rig, is_there, .. } = &mut self.boards[number];
             if *is_there && rig.bit_rate() == rate {
                 is_acknowledged = true;
-                let answers = rig.receive(frame).0;
-                self.take(number, answers);
+                if !self.misbehaves(number, frame) {
+                    let answers = self.boards[number].rig.receive(frame).0;
+                    self.take(number, answers);
+                }
             }
         }
         self.has_errors |= !is_acknowledged;
@@ -347,6 +476,11 @@ impl Adapter for Wire {
                 Fault::AdapterGone => world.is_adapter_gone = true,
                 Fault::AdapterGoneBehind => {}
                 Fault::BoardGone(number) => world.boards[number].is_there = false,
+                Fault::OtherMaster => {
+                    let request = Request::SwitchToConfiguration.to_frame();
+                    world.deliver(&request);
+                    world.received.push_back(request);
+                }
             }
         }
         if world.is_adapter_gone {

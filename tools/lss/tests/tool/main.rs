@@ -3,11 +3,14 @@
 
 mod apply;
 mod assign;
+mod bad_boards;
+mod blink;
 mod emulated;
 mod find;
 mod foreign;
 mod in_process;
 mod network;
+mod one_at_a_time;
 mod picture;
 mod power;
 mod program;

@@ -1,9 +1,10 @@
 //! The picture of a run: `--svg`.
 
-use std::{fs, path::Path};
+use std::fs;
 
 use canopen_node::BitRate;
 use emulator::network::Source;
+use testkit::cargo;
 
 use crate::{
     assign::{entry, new_file},
@@ -17,7 +18,7 @@ const CHARACTER: f64 = 6.9;
 /// The picture of a command, in which no text overlaps another or leaves the picture.
 #[track_caller]
 fn svg(boards: &Boards, name: &str, arguments: &str) -> String {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let path = cargo::scratch(name);
     boards.lss(&format!("{arguments} --svg {}", path.display()));
     let svg = fs::read_to_string(path).expect("a picture");
     let texts = texts(&svg);

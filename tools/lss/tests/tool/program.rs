@@ -1,16 +1,11 @@
 //! The program `lss` itself: its adapters and its command line.
 
-use std::{
-    net::TcpListener,
-    process::{Command, Output},
-};
+use std::{net::TcpListener, process::Output};
+
+use testkit::cargo;
 
 fn lss(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_lss"))
-        .env_remove("LSS_ADAPTER")
-        .args(arguments)
-        .output()
-        .expect("it runs")
+    cargo::program("lss").env_remove("LSS_ADAPTER").args(arguments).output().expect("it runs")
 }
 
 #[track_caller]

@@ -156,7 +156,7 @@ fn another_lss_master_ends_the_command() {
     {
         let mut rig = boards.rig();
         let [other, _] = rig.add_others(RATE);
-        let frame = testkit::image_rig::on_the_wire(&testkit::frames::request("04 00"));
+        let frame = testkit::wire::on_the_wire(&testkit::frames::request("04 00"));
         boards.at_each_frame(move |request, network| {
             // Between two frames of the tool, with which it would collide.
             if request.data().first() == Some(&0x5A) {

@@ -4,7 +4,10 @@ use canopen_node::BitRate;
 use emulator::{Time, network::Source};
 use testkit::image::Firmware;
 
-use crate::emulated::{Boards, address_text};
+use crate::{
+    emulated::{Boards, Outcome, address_text},
+    in_process::{At, Fault, Wire},
+};
 
 const OLD: BitRate = BitRate::Kbit125;
 const NEW: BitRate = BitRate::Kbit500;
@@ -195,4 +198,83 @@ fn whenever_a_board_is_pulled_out_the_others_have_stored_one_bit_rate() {
             assert!(list.text.contains(&address_text(board)), "pulled out at {pulled_at}");
         }
     }
+}
+
+/// Runs `set-rate 500` on three boards again and again, with the fault one frame later each time from the first write
+/// on, until it comes too late.
+fn with_fault_at_each_frame(fault: Fault, mut check: impl FnMut(&Wire, &Outcome)) {
+    for number in 0.. {
+        let wire = Wire::new(OLD, &[1, 2, 3]);
+        wire.fail_at(At::Frame(number), fault);
+        let outcome = wire.lss("set-rate 500");
+        if !wire.mend() {
+            assert!(number > 30, "{number}");
+            return;
+        }
+        check(&wire, &outcome);
+    }
+}
+
+/// The bit rates that the boards have stored.
+fn stored(wire: &Wire) -> Vec<BitRate> {
+    let world = wire.world();
+    let stored = world.boards.iter().map(|board| board.rig.stored().expect("settings").bit_rate);
+    stored.map(|setting| BitRate::from_table(0, setting.index()).expect("a fixed one")).collect()
+}
+
+#[test]
+fn another_lss_master_in_a_rate_change_is_told_at_a_safe_moment() {
+    let mut outcomes = [0; 2];
+    with_fault_at_each_frame(Fault::OtherMaster, |wire, outcome| {
+        let is_done = outcome.text.contains("all 3 boards answer at 500 kbit/s and have stored it");
+        // At the last frame all is done.
+        if outcome.code != 0 || !is_done {
+            assert_eq!(outcome.code, 1, "{}", outcome.text);
+            assert!(outcome.error.starts_with("two masters: "), "{}", outcome.error);
+        }
+        outcomes[usize::from(is_done)] += 1;
+        let rate = if is_done { NEW } else { OLD };
+        assert_eq!(stored(wire), [rate; 3]);
+        assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == rate));
+        wire.assert_waiting();
+    });
+    assert!(outcomes.iter().all(|count| *count > 0), "{outcomes:?}");
+}
+
+#[test]
+fn a_rate_change_without_its_adapter_says_where_the_boards_may_be() {
+    let mut most = 0;
+    with_fault_at_each_frame(Fault::AdapterGone, |wire, outcome| {
+        let (error, stored) = (&outcome.error, stored(wire));
+        let new = stored.iter().filter(|rate| **rate == NEW).count();
+        // All had been done before the last frame.
+        if (outcome.code, new) == (0, 3) {
+            return;
+        }
+        assert_eq!(outcome.code, 4, "{}", outcome.text);
+        most = most.max(new);
+        if error.ends_with(
+            "Nothing is stored: the boards are at 125 kbit/s, or at 500 kbit/s until their power is off",
+        ) {
+            assert_eq!(new, 0, "{error}");
+        } else {
+            let words = format!("All boards are at 500 kbit/s, and at least {new} of 3 have stored it");
+            assert!(error.contains(&words), "{error}");
+            assert!(error.ends_with("`lss set-rate 500 --bit-rate 500` lets all store it"));
+            assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == NEW));
+        }
+    });
+    assert_eq!(most, 2);
+}
+
+#[test]
+fn ctrl_c_while_the_boards_store_lets_all_of_them_store() {
+    let mut done = 0;
+    with_fault_at_each_frame(Fault::CtrlC, |wire, outcome| {
+        let rate = if outcome.code == 0 { NEW } else { OLD };
+        done += usize::from(outcome.code == 0);
+        assert_eq!(stored(wire), [rate; 3]);
+        assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == rate));
+    });
+    assert!(done > 3, "{done}");
 }

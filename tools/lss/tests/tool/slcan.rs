@@ -3,16 +3,15 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
-    path::Path,
     process::{Command, Output, Stdio},
     thread,
     time::Duration,
 };
 
-use testkit::emulated::Emulated;
+use testkit::{cargo, emulated::Emulated};
 
 fn lss(boards: &Emulated, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lss"));
+    let mut command = cargo::program("lss");
     command.env("LSS_ADAPTER", boards.adapter()).args(arguments);
     command
 }
@@ -37,7 +36,7 @@ fn a_box_of_new_boards_becomes_a_running_network() {
     assert!(found.contains("the network runs at 125 kbit/s, and not at 500 kbit/s"), "{found}");
     let assigned = run(&["assign"]);
     assert_eq!(assigned.matches("stored, verified by a reset").count(), 2, "{assigned}");
-    let log = Path::new(env!("CARGO_TARGET_TMPDIR")).join("set-rate.log");
+    let log = cargo::scratch("set-rate.log");
     let switched = run(&["set-rate", "250", "--log", &log.to_string_lossy()]);
     assert!(switched.ends_with("all 2 boards answer at 250 kbit/s and have stored it\n"));
     let log = fs::read_to_string(log).expect("a log");
@@ -86,4 +85,42 @@ fn ctrl_c_ends_a_watch_as_it_should() {
     let is_frame =
         |line: &str| line.get(..9).is_some_and(|time| time.trim().parse::<f64>().is_ok());
     assert!(error.lines().all(is_frame), "{error}");
+}
+
+#[cfg(unix)]
+#[test]
+fn on_a_full_disk_no_board_gets_a_node_id_and_the_table_stays() {
+    let boards = Emulated::start(&["--boards", "1"]);
+    let table = cargo::scratch("full-disk.toml");
+    let path = table.display();
+    let missing = "[[node]]\nid = 5\naddress = \"00000000:4C535334:00010000:00000007\"\n";
+    // A file of this length cannot grow, whether the shell counts in 512 bytes or in 1024.
+    let text = format!("{missing}#{}\n", " ".repeat(1000 - missing.len() - 2));
+    let empty = format!("#{}\n", " ".repeat(998));
+    for (text, options) in [(&empty, ""), (&text, "--yes")] {
+        fs::write(&table, text).expect("it can be written");
+        let script = format!(
+            "trap '' XFSZ; ulimit -f 1; exec {} assign --table {path} {options}",
+            cargo::program("lss").get_program().display()
+        );
+        let mut command = Command::new("sh");
+        command.env("LSS_ADAPTER", boards.adapter()).args(["-c", &script]);
+        let output = command.output().expect("it runs");
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{error}");
+        assert!(error.trim_end().ends_with(" got no node-ID"), "{error}");
+        assert_eq!(fs::read_to_string(&table).expect("it is there"), **text);
+        let listed = lss(&boards, &["list"]).output().expect("it runs");
+        assert!(text_of_none(&listed), "it has a node-ID");
+    }
+    // With room it goes on.
+    let output = lss(&boards, &["assign", "--yes", "--table", &path.to_string()]).output();
+    let assigned = self::text(&output.expect("it runs"), 0);
+    assert!(assigned.contains("takes over the place of"), "{assigned}");
+}
+
+/// Whether the list has a board without a node-ID, and no other.
+fn text_of_none(output: &Output) -> bool {
+    let listed = text(output, 0);
+    listed.lines().count() == 2 && listed.contains("\nnone  ")
 }

@@ -70,7 +70,7 @@ fn a_board_that_appears_is_asked_who_it_is() {
         let mut rig = boards.rig();
         let [master, _] = rig.add_others(RATE);
         let send = move |network: &mut emulator::network::Network, request: &str| {
-            let frame = testkit::image_rig::on_the_wire(&testkit::frames::request(request));
+            let frame = testkit::wire::on_the_wire(&testkit::frames::request(request));
             network.send(master, frame);
         };
         drop(rig);
@@ -135,7 +135,8 @@ fn a_terminal_shows_the_table_and_draws_it_again() {
     let first = lines(drawings[0]);
     assert_eq!(first[0], "125 kbit/s, nodes: 2, boards without a node-ID: 1. Ctrl-C ends");
     assert!(first[3].starts_with("7        pre-operational "), "{first:?}");
-    let last = lines(drawings[drawings.len() - 1]);
+    // The very last one is drawn when the next heartbeat is due.
+    let last = lines(drawings[drawings.len() - 2]);
     assert_eq!(last[0], "125 kbit/s, nodes: 1, boards without a node-ID: 1. Ctrl-C ends");
     assert!(last[2].starts_with("5        pre-operational      0."), "{last:?}");
     assert!(last[3].starts_with("7        vanished             "), "{last:?}");

@@ -77,10 +77,9 @@ fn check_pairs(part: Part, controller: usize, pairs: &[[(Pin, u32); 2]]) -> anyh
 }
 
 fn cargo_check(folder: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
-    cargo_for_the_chip("check")
+    cargo_for_the_chip(folder, "check")?
         .args(["--keep-going", "--release"])
         .args(arguments)
-        .current_dir(folder)
         .stdin(Stdio::null())
         .output()
         .context("cannot run cargo")

@@ -1,6 +1,6 @@
 //! The flash cells: sectors, programming that only clears bits, and the content after a power cut.
 
-use std::ops::Range;
+use std::{collections::BTreeSet, ops::Range};
 
 use crate::chip::{Part, part::Family};
 
@@ -31,13 +31,16 @@ pub struct Array {
     bytes: Vec<u8>,
     stuck: Vec<StuckBits>,
     marginal: Vec<Marginal>,
+    /// The double words of an STM32G4 that have a double error.
+    double_errors: BTreeSet<u32>,
 }
 
 impl Array {
     /// An erased flash.
     pub fn new(part: Part) -> Self {
         let bytes = vec![0xFF; part.flash_size() as usize];
-        Self { part, bytes, stuck: Vec::new(), marginal: Vec::new() }
+        let (stuck, marginal, double_errors) = Default::default();
+        Self { part, bytes, stuck, marginal, double_errors }
     }
 
     pub fn bytes(&self) -> &[u8] {
@@ -48,7 +51,7 @@ impl Array {
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         let start = offset as usize;
         self.bytes[start..start + bytes.len()].copy_from_slice(bytes);
-        self.forget_marginal(&(start..start + bytes.len()));
+        self.forget_damage(&(start..start + bytes.len()));
         self.apply_stuck(start..start + bytes.len());
     }
 
@@ -104,6 +107,7 @@ impl Array {
         for (cell, byte) in self.bytes[start..].iter_mut().zip(bytes) {
             *cell &= byte;
         }
+        self.forget_double_errors(&(start..start + bytes.len()));
         for marginal in &mut self.marginal {
             for (at, &byte) in (start..).zip(bytes) {
                 if let Some(index) = at.checked_sub(marginal.start)
@@ -121,7 +125,7 @@ impl Array {
     /// Sets all bits of a range.
     pub fn erase(&mut self, range: Range<usize>) {
         self.bytes[range.clone()].fill(0xFF);
-        self.forget_marginal(&range);
+        self.forget_damage(&range);
         self.apply_stuck(range);
     }
 
@@ -132,8 +136,23 @@ impl Array {
         self.marginal.push(Marginal { start, before, programmed, random });
     }
 
-    fn forget_marginal(&mut self, range: &Range<usize>) {
+    fn forget_damage(&mut self, range: &Range<usize>) {
         self.marginal.retain(|marginal| !range.contains(&marginal.start));
+        self.forget_double_errors(range);
+    }
+
+    fn forget_double_errors(&mut self, range: &Range<usize>) {
+        self.double_errors.retain(|word| !range.contains(&(*word as usize)));
+    }
+
+    /// Gives a double word a double error.
+    pub fn damage(&mut self, offset: u32) {
+        self.double_errors.insert(offset & !7);
+    }
+
+    /// The offsets of the double words with a double error, in order.
+    pub fn double_errors(&self) -> impl Iterator<Item = u32> {
+        self.double_errors.iter().copied()
     }
 
     /// Makes every cell between two values read as either; returns their positions.
@@ -166,28 +185,40 @@ impl Array {
         self.apply_stuck(start..start + before.len());
     }
 
-    /// The result of an interrupted program operation with ECC: the old content, the new one, or anything.
+    /// The result of an interrupted program operation with ECC: the old content, the new one, or a double error with any
+    /// content.
     pub fn tear_unit(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
         let cells = &mut self.bytes[start..start + before.len()];
         match random.next() % 3 {
             0 => cells.copy_from_slice(before),
             1 => {}
-            _ => cells.iter_mut().for_each(|cell| *cell = random.next() as u8),
+            _ => {
+                cells.iter_mut().for_each(|cell| *cell = random.next() as u8);
+                self.double_errors.insert(start as u32);
+            }
         }
         self.apply_stuck(start..start + before.len());
     }
 
-    /// The result of an interrupted erase: for each 32 bytes the old content, erased cells, or anything.
+    /// The result of an interrupted erase: for each 32 bytes the old content, erased cells, or anything, which on an
+    /// STM32G4 are double errors.
     pub fn tear_erase(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
-        for (cells, old) in
-            self.bytes[start..start + before.len()].chunks_mut(32).zip(before.chunks(32))
+        let has_ecc = self.part.family() == Family::G4;
+        for ((cells, old), at) in self.bytes[start..start + before.len()]
+            .chunks_mut(32)
+            .zip(before.chunks(32))
+            .zip((start as u32..).step_by(32))
         {
             match random.next() % 3 {
                 0 => cells.copy_from_slice(old),
                 1 => cells.fill(0xFF),
-                _ => cells.iter_mut().for_each(|cell| *cell = random.next() as u8),
+                _ => {
+                    cells.iter_mut().for_each(|cell| *cell = random.next() as u8);
+                    let words = (at..at + 32).step_by(8).filter(|_| has_ecc);
+                    self.double_errors.extend(words);
+                }
             }
         }
         self.apply_stuck(start..start + before.len());

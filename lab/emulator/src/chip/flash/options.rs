@@ -4,12 +4,16 @@ use crate::chip::Part;
 
 const OPTLOCK: u32 = 1 << 0;
 const BOR_LEV: u32 = 0b11 << 2;
+const NSWBOOT0: u32 = 1 << 26;
+const NBOOT0: u32 = 1 << 27;
 
 #[derive(Debug)]
 pub struct Options {
     part: Part,
     /// OPTCR, and OPTCR1 of parts with two banks, which protects the other sectors.
     registers: [u32; 2],
+    /// FLASH_OPTR of an STM32G4 (RM0440 3.7.8).
+    optr: u32,
 }
 
 impl Options {
@@ -17,7 +21,7 @@ impl Options {
     pub fn new(part: Part) -> Self {
         let bits = part.protection_bits();
         let second = if part.has_two_banks() { bits } else { 0 };
-        Self { part, registers: [bits | 0xAAEC | OPTLOCK, second] }
+        Self { part, registers: [bits | 0xAAEC | OPTLOCK, second], optr: 0xFFEF_F8AA }
     }
 
     /// Protects the sectors whose bit is 1, and no others.
@@ -54,6 +58,19 @@ impl Options {
             true => (sector as usize / 12, 1 << (16 + sector % 12)),
             false => (0, 1 << (16 + sector).min(highest)),
         }
+    }
+
+    pub fn optr(&self) -> u32 {
+        self.optr
+    }
+
+    pub fn set_optr(&mut self, optr: u32) {
+        self.optr = optr;
+    }
+
+    /// Whether an STM32G4 starts the boot loader in ROM, with the pin BOOT0 high or low (RM0440 2.6).
+    pub fn starts_loader(&self, is_pin_high: bool) -> bool {
+        if self.optr & NSWBOOT0 == 0 { self.optr & NBOOT0 == 0 } else { is_pin_high }
     }
 
     pub fn registers(&self) -> [u32; 2] {

@@ -36,6 +36,11 @@ impl Flash {
         self.options.set_brown_out_level(level);
     }
 
+    /// Sets FLASH_OPTR of an STM32G4 as a programming tool does.
+    pub fn set_option_register(&mut self, optr: u32) {
+        self.options.set_optr(optr);
+    }
+
     /// Sets the supply in mV, which limits the width of programming.
     pub(in crate::chip) fn set_supply(&mut self, mv: u32) {
         self.supply_mv = mv;
@@ -48,6 +53,12 @@ impl Flash {
     pub fn add_stuck_bits(&mut self, bits: StuckBits) {
         self.array.add_stuck(bits);
         self.note_change(bits.offset as usize..bits.offset as usize + 1);
+    }
+
+    /// Gives the double word of an STM32G4 at `offset` a double error, until it is programmed again or erased.
+    pub fn damage(&mut self, offset: u32) {
+        self.array.damage(offset);
+        self.note_change(offset as usize..offset as usize + 8);
     }
 
     /// Makes the next `count` erases leave random content, made from `seed`, in the sector, without an error flag.

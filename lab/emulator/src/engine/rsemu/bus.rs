@@ -131,6 +131,30 @@ impl MemOps for SlowFlash {
     }
 }
 
+/// Reads of the flash of an STM32G4, whose error correction finds double errors.
+#[derive(Debug)]
+struct CorrectedFlash {
+    flash: Arc<RamStore>,
+    chip: Aperture,
+}
+
+impl MemOps for CorrectedFlash {
+    fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {
+        if !attrs.debug {
+            let mut chip = self.chip.chip.lock().map_err(|_| BusError::BadAccess)?;
+            chip.flash_mut().note_read(offset as u32, dst.len() as u32);
+            if chip.nmi() {
+                self.chip.link.written.store(true, Relaxed);
+            }
+        }
+        self.flash.read_at(offset, dst)
+    }
+
+    fn write(&self, _: u64, _: &[u8], _: MemAttrs) -> MemResult {
+        Err(BusError::Unassigned)
+    }
+}
+
 /// A range of addresses without a register that causes no fault.
 #[derive(Debug)]
 struct Nothing;
@@ -153,7 +177,7 @@ pub struct Space {
     pub chip: Aperture,
     flash: Arc<RamStore>,
     ram: Arc<RamStore>,
-    flash_waits: bool,
+    reads: Reads,
     /// What lies at address 0, and its place among the mappings.
     at_zero: (AtZero, MappingId),
 }
@@ -170,15 +194,19 @@ impl Space {
         let map = |mapping| {
             shared.topology().map_with(mapping).expect("every range lies in the 32-bit space")
         };
-        let flash_waits = variant.flash_waits;
-        let at_zero = map(code("flash at 0", flash, link, flash_waits, 0));
+        let reads = match part {
+            Part::Stm32g431 => Reads::Corrected,
+            _ if variant.flash_waits => Reads::Slow,
+            _ => Reads::Plain,
+        };
         let aperture = Aperture { base: 0, chip: Arc::clone(chip), link: Arc::clone(link) };
+        let at_zero = map(code("flash at 0", flash, &aperture, reads, 0));
         let io = |name: &str, base: u32, length: u64| {
             let region = Region::io(name, length, Arc::new(Aperture { base, ..aperture.clone() }));
             Mapping::new(region, base.into()).with_perms(Perms::RW)
         };
         let mut mappings = vec![
-            code("flash", flash, link, flash_waits, FLASH_BASE),
+            code("flash", flash, &aperture, reads, FLASH_BASE),
             io("flash programming", FLASH_BASE, flash.len()).with_perms(Perms::WRITE),
             io("system memory", SYSTEM_BASE, SYSTEM_LENGTH).with_perms(Perms::RWX),
             memory("sram", ram, RAM_BASE, Perms::RWX),
@@ -205,7 +233,7 @@ impl Space {
             chip: aperture,
             flash: Arc::clone(flash),
             ram: Arc::clone(ram),
-            flash_waits,
+            reads,
             at_zero: (AtZero::Flash, at_zero),
         }
     }
@@ -221,7 +249,7 @@ impl Space {
         }
         self.at_zero.0 = what;
         let mapping = match what {
-            AtZero::Flash => code("flash at 0", &self.flash, &self.chip.link, self.flash_waits, 0),
+            AtZero::Flash => code("flash at 0", &self.flash, &self.chip, self.reads, 0),
             AtZero::Sram => memory("sram at 0", &self.ram, 0, Perms::RWX),
             AtZero::System => {
                 let aperture = Arc::new(Aperture { base: SYSTEM_BASE, ..self.chip.clone() });
@@ -238,12 +266,22 @@ fn memory(name: &str, store: &Arc<RamStore>, base: u32, perms: Perms) -> Mapping
     Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
 }
 
+/// What reads of the flash do beside reading.
+#[derive(Clone, Copy)]
+enum Reads {
+    Plain,
+    Slow,
+    Corrected,
+}
+
 /// The flash for fetches and loads, at its address or at 0. Both have the same lines in the caches.
-fn code(name: &str, flash: &Arc<RamStore>, link: &Arc<Link>, waits: bool, base: u32) -> Mapping {
-    if !waits {
-        return memory(name, flash, base, Perms::RX);
-    }
-    let reads = SlowFlash { base: FLASH_BASE, flash: Arc::clone(flash), link: Arc::clone(link) };
-    let region = Region::io(name, flash.len(), Arc::new(reads));
+fn code(name: &str, flash: &Arc<RamStore>, chip: &Aperture, reads: Reads, base: u32) -> Mapping {
+    let (store, link) = (Arc::clone(flash), Arc::clone(&chip.link));
+    let reads: Arc<dyn MemOps> = match reads {
+        Reads::Plain => return memory(name, flash, base, Perms::RX),
+        Reads::Slow => Arc::new(SlowFlash { base: FLASH_BASE, flash: store, link }),
+        Reads::Corrected => Arc::new(CorrectedFlash { flash: store, chip: chip.clone() }),
+    };
+    let region = Region::io(name, flash.len(), reads);
     Mapping::new(region, base.into()).with_perms(Perms::RX)
 }

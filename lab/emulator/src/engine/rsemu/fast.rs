@@ -34,6 +34,8 @@ pub struct Memories<'a> {
     pub chip: &'a Aperture,
     /// The addresses that only rsemu accesses.
     pub guarded: Range<u32>,
+    /// The double words of the flash that only rsemu reads.
+    pub double_errors: &'a [u32],
 }
 
 impl<'a> Memories<'a> {
@@ -49,7 +51,13 @@ impl<'a> Memories<'a> {
     }
 
     fn readable(&self, address: u32, length: u32) -> Option<(&'a RamStore, u64)> {
-        within(self.flash, FLASH_BASE, address, length).or_else(|| self.writable(address, length))
+        self.flash(address, length).or_else(|| self.writable(address, length))
+    }
+
+    fn flash(&self, address: u32, length: u32) -> Option<(&'a RamStore, u64)> {
+        let (store, offset) = within(self.flash, FLASH_BASE, address, length)?;
+        let is_good = !self.double_errors.contains(&(offset as u32 & !7));
+        is_good.then_some((store, offset))
     }
 
     fn is_peripheral(&self, address: u32, size: Size) -> bool {
@@ -60,7 +68,7 @@ impl<'a> Memories<'a> {
     }
 
     fn code(&self, address: u32) -> Option<u16> {
-        let (flash, offset) = within(self.flash, FLASH_BASE, address, 2)?;
+        let (flash, offset) = self.flash(address, 2)?;
         Some(read(flash, offset, Size::Half)? as u16)
     }
 }

@@ -1,14 +1,11 @@
 //! The found state of a network: which board is where, and which values it has.
 
-use can_bus::{
-    eds::{self, Kind},
-    sdo,
-};
+use can_bus::{eds, sdo};
 use canopen_node::{
     BitRate, NodeId,
     lss::{Address, Request},
 };
-use lss_master::{InquireNodeId, SelectAlone};
+use lss_master::InquireNodeId;
 
 use super::wishes::{Board, Network, Node, STAMP};
 use crate::{
@@ -18,6 +15,8 @@ use crate::{
         list::{self, Row},
     },
     failure::Failure,
+    give,
+    scan::Search,
     session::{DEFAULT_RATE, Session},
 };
 
@@ -46,6 +45,15 @@ pub struct Found {
 /// at only the other of them, it is that: an earlier run has switched the network, or none yet. Nothing is asked at a
 /// bit rate that may be wrong but one question.
 pub fn open(
+    session: &mut Session<'_>,
+    given: Option<BitRate>,
+    wanted: Option<BitRate>,
+) -> Result<(), Failure> {
+    open_at_its_rate(session, given, wanted)?;
+    give::end_earlier_run(session)
+}
+
+fn open_at_its_rate(
     session: &mut Session<'_>,
     given: Option<BitRate>,
     wanted: Option<BitRate>,
@@ -83,7 +91,9 @@ pub fn boards(
     is_plan: bool,
 ) -> Result<Found, Failure> {
     let mut unknown = list::nodes(session)?;
+    let problems = list::twins(&unknown);
     let mut places = vec![None; network.nodes.len()];
+    let mut search = Search::default();
     for (node, place) in network.nodes.iter().zip(&mut places) {
         let Board::Address(address) = node.board else { continue };
         session.progress.say(|| format!("looking for {}", node.words()));
@@ -91,7 +101,7 @@ pub fn boards(
         *place = match row.map(|row| unknown.remove(row)) {
             Some(row) => place_of(&row),
             // It has no node-ID, or is stopped, or does not tell its LSS address by SDO.
-            None => select(session, address)?,
+            None => select(session, &mut search, address)?,
         };
         if let Some(Place { id: Some(id), .. }) = place {
             let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
@@ -106,7 +116,7 @@ pub fn boards(
     if is_scanned {
         unknown.extend(others(session, &places)?);
     }
-    let mut found = Found { places, unknown, is_scanned, problems: Vec::new() };
+    let mut found = Found { places, unknown, is_scanned, problems };
     for (node, place) in network.nodes.iter().zip(&mut found.places) {
         match node.board {
             Board::Kind { .. } => match only(node, &found.unknown) {
@@ -169,15 +179,16 @@ fn place_of(row: &Row) -> Option<Place> {
     Some(Place { address: row.lss_address?, id, is_shared: row.is_duplicate })
 }
 
-fn select(session: &mut Session<'_>, address: Address) -> Result<Option<Place>, Failure> {
-    match session.carry_out(SelectAlone::new(address)) {
-        Ok(()) => {
-            let id = session.carry_out(InquireNodeId)?;
-            Ok(Some(Place { address, id, is_shared: false }))
-        }
-        Err(Failure::NoAnswer(_)) => Ok(None),
-        Err(failure) => Err(failure),
+fn select(
+    session: &mut Session<'_>,
+    search: &mut Search,
+    address: Address,
+) -> Result<Option<Place>, Failure> {
+    if !search.select(session, address)? {
+        return Ok(None);
     }
+    let id = session.carry_out(InquireNodeId)?;
+    Ok(Some(Place { address, id, is_shared: false }))
 }
 
 /// The row of the board that is meant by its kind alone: the one that has the node-ID, or the only one.
@@ -236,7 +247,7 @@ impl Change {
         if self.found.is_some() && self.found == default(now) {
             self.found = default(node.id);
         }
-        self.found.as_ref() != Some(&self.wanted)
+        !self.found.as_ref().is_some_and(|found| node.is_as_wanted(self.address, found))
     }
 }
 
@@ -288,22 +299,11 @@ pub fn values(
                     .map_err(|why| unreadable(node, *address, &why))?,
             ),
         };
-        let is_text = entry.is_some_and(|entry| entry.kind() == Kind::Text);
-        let is_same = found.as_ref().is_some_and(|found| match is_text {
-            true => without_zeros(found) == without_zeros(wanted),
-            false => found == wanted,
-        });
-        if !is_same {
+        if !found.as_ref().is_some_and(|found| node.is_as_wanted(*address, found)) {
             values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
         }
     }
     Ok(values)
-}
-
-/// A text without the zeros behind it.
-fn without_zeros(text: &[u8]) -> &[u8] {
-    let end = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
-    &text[..end]
 }
 
 fn unreadable(node: &Node, address: eds::Address, why: &str) -> Failure {

@@ -2,11 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use canopen_node::{
-    BitRate, NodeId,
-    lss::{Address, Request},
-};
-use lss_master::{InquireNodeId, SelectAlone};
+use canopen_node::{BitRate, NodeId, lss::Address};
+use lss_master::SelectAlone;
 
 use super::{
     found::{Found, Place},
@@ -14,11 +11,9 @@ use super::{
 };
 use crate::{
     address,
-    commands::{
-        inquire::id_text,
-        set_id::{RESET_COMMUNICATION, take_back, wait_for_boot_up},
-    },
+    commands::id_text,
     failure::Failure,
+    give::{self, Gift},
     session::Session,
 };
 
@@ -113,8 +108,7 @@ fn move_id(taken: &mut Taken, from: Option<NodeId>, to: Option<NodeId>) {
     }
 }
 
-/// Gives a node-ID to a board, stores it, and lets it take effect; returns it. A board that is to have none and refuses
-/// that gets one that nobody has. A Ctrl-C waits meanwhile: a board must not have a node-ID that is not stored.
+/// Gives a node-ID to a board; returns it. A board that is to have none and refuses that gets one that nobody has.
 fn give(
     session: &mut Session<'_>,
     address: Address,
@@ -123,11 +117,13 @@ fn give(
     rate: Option<BitRate>,
     taken: &Taken,
 ) -> Result<Option<NodeId>, Failure> {
-    session.bus.check_interrupt()?;
-    session.bus.hold_interrupt(true);
-    let result = give_held(session, address, before, to, rate, taken);
-    session.bus.hold_interrupt(false);
-    result.map_err(|failure| match failure {
+    let mut gift = Gift { address, before, to, rate };
+    let mut outcome = select_and_give(session, gift);
+    if to.is_none() && matches!(outcome, Err(Failure::Refused(_))) {
+        gift.to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
+        outcome = select_and_give(session, gift);
+    }
+    outcome.map(|()| gift.to).map_err(|failure| match failure {
         Failure::NoAnswer(why) | Failure::Refused(why) => Failure::Refused(format!(
             "{why}. Board {}: is it still there, and not locked while NMT operational? A further run goes on",
             address::text(&address)
@@ -136,58 +132,12 @@ fn give(
     })
 }
 
-fn give_held(
-    session: &mut Session<'_>,
-    address: Address,
-    before: Option<NodeId>,
-    mut to: Option<NodeId>,
-    rate: Option<BitRate>,
-    taken: &Taken,
-) -> Result<Option<NodeId>, Failure> {
-    session.carry_out(SelectAlone::new(address))?;
-    let configured = configure(session, to, rate);
-    if to.is_none() && matches!(configured, Err(Failure::Refused(_))) {
-        to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
-        configure(session, to, rate)?;
-    } else if let Err(failure) = configured {
-        take_back(session, before);
-        return Err(failure);
+fn select_and_give(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure> {
+    session.carry_out(SelectAlone::new(gift.address))?;
+    match gift.before == gift.to {
+        true => give::store_again(session, gift),
+        false => give::give(session, gift).map(drop),
     }
-    session.bus.take_unasked();
-    session.bus.request(Request::SwitchToWaiting)?;
-    if let Some(before) = before.filter(|_| before != to) {
-        session.bus.nmt(RESET_COMMUNICATION, before.get())?;
-    }
-    match to {
-        _ if before == to => {}
-        Some(to) => wait_for_boot_up(session, to)?,
-        None => {
-            session.carry_out(SelectAlone::new(address))?;
-            if let Some(still) = session.carry_out(InquireNodeId)? {
-                let why = format!("it keeps node-ID {} after NMT reset communication", still.get());
-                return Err(Failure::Refused(why));
-            }
-            session.bus.request(Request::SwitchToWaiting)?;
-        }
-    }
-    Ok(to)
-}
-
-/// Makes a node-ID pending in the board in LSS configuration state, and the bit rate of the network, and stores both.
-fn configure(
-    session: &mut Session<'_>,
-    id: Option<NodeId>,
-    rate: Option<BitRate>,
-) -> Result<(), Failure> {
-    session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(id)))?;
-    if let Some(rate) = rate {
-        // It runs at this rate. One that cannot be told has it by switches.
-        match session.carry_out(Request::ConfigureBitTiming { table: 0, index: rate.index() }) {
-            Ok(()) | Err(Failure::Refused(_)) => {}
-            Err(failure) => return Err(failure),
-        }
-    }
-    session.carry_out(Request::StoreConfiguration)
 }
 
 /// The places of boards that share a node-ID with another are known to be alone after a further look.

@@ -9,7 +9,10 @@ use super::{
     wishes::{Network, Node},
 };
 use crate::{
-    address, commands::inquire::id_text, commands::list::Row, failure::Failure, session::Session,
+    address,
+    commands::{Row, id_text},
+    failure::Failure,
+    session::Session,
 };
 
 /// What differs in a network.

@@ -9,7 +9,7 @@ use super::{
     found::{self, Change, Values},
     wishes::{Node, STAMP},
 };
-use crate::{commands::set_id::reset, failure::Failure, session::Session};
+use crate::{failure::Failure, give::reset, session::Session};
 
 /// The value that stores all parameters, as it is written to 1010h.
 const SAVE: &[u8] = b"save";
@@ -78,7 +78,7 @@ fn carry(
         let words = node.value_words(*address);
         let found = sdo::read(&mut session.bus, id.get(), address.0, address.1)?
             .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?;
-        if found != *wanted {
+        if !node.is_as_wanted(*address, &found) {
             let (found, wanted) = (entry.text(&found), entry.text(wanted));
             return Err(Failure::Refused(match done.is_stored {
                 true => format!(
@@ -128,11 +128,7 @@ fn write_all(
         let changes: Vec<&Change> = of_it.collect();
         session.progress.say(|| format!("{}: PDO {index:04X}", node.words()));
         // Half a PDO would be on the bus otherwise.
-        session.bus.check_interrupt()?;
-        session.bus.hold_interrupt(true);
-        let result = write_pdo(session, id, node, index, &changes);
-        session.bus.hold_interrupt(false);
-        result?;
+        session.uninterrupted(|session| write_pdo(session, id, node, index, &changes))?;
     }
     Ok(())
 }

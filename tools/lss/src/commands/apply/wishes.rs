@@ -10,7 +10,7 @@ use super::sheet::{Sheet, address_words, read_text};
 use crate::{address, failure::Failure, table};
 use can_bus::{
     adapter,
-    eds::{self, Eds, Entry},
+    eds::{self, Eds, Entry, Kind},
 };
 use canopen_node::{BitRate, NodeId, lss::Address};
 
@@ -67,6 +67,15 @@ impl Node {
         self.sheet.as_ref()?.eds.get(address)
     }
 
+    /// Whether a value on the board is the wished one. Some boards put zeros behind a text.
+    pub fn is_as_wanted(&self, address: eds::Address, found: &[u8]) -> bool {
+        let is_text = self.entry(address).is_some_and(|entry| entry.kind() == Kind::Text);
+        self.values.get(&address).is_some_and(|wanted| match is_text {
+            true => without_zeros(found) == without_zeros(wanted),
+            false => found == wanted,
+        })
+    }
+
     /// Whether the board can store its values.
     pub fn can_store(&self) -> bool {
         self.entry((STORE, 1)).is_some_and(Entry::can_be_written)
@@ -78,6 +87,12 @@ impl Node {
             self.sheet.as_ref().and_then(|sheet| Some(sheet.eds.name(sheet.eds.get(address)?)));
         format!("{} {}", address_words(address, self.sheet.as_ref()), name.unwrap_or_default())
     }
+}
+
+/// A text without the zeros behind it.
+fn without_zeros(text: &[u8]) -> &[u8] {
+    let end = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    &text[..end]
 }
 
 impl Network {

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use super::{EDS, RATE, VALUES, assert_done, file, folder, node, node_with};
+use super::{RATE, VALUES, assert_done, eds, file, folder, node, node_with};
 use crate::in_process::Wire;
 
 #[test]
@@ -43,7 +43,7 @@ fn wrong_files_are_told_before_anything_is_sent() {
         ("bit_rate = 126\n".to_owned() + &node(5, 0), "126 is no bit rate of CiA 301 in kbit/s"),
         (String::new(), "there is no node in the file"),
         (
-            format!("[[node]]\nid = 5\naddress = \"1:2:3:4\"\neds = \"{EDS}\"\n"),
+            format!("[[node]]\nid = 5\naddress = \"1:2:3:4\"\neds = \"{}\"\n", eds()),
             "io.eds is the data sheet of 00000000:4C535334, and not of 00000001:00000002:00000003:00000004",
         ),
     ];
@@ -112,7 +112,7 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
 
 /// The data sheet as a configuration file with a place in the network, and this value of 2100h.
 fn dcf(id: u8, value: u8) -> String {
-    let text = fs::read_to_string(EDS).expect("the data sheet");
+    let text = fs::read_to_string(eds()).expect("the data sheet");
     let text = text.replace("[2100]\n", &format!("[2100]\nParameterValue={value}\n"));
     format!("{text}\n[DeviceComissioning]\nNodeID=0x{id:02X}\nBaudrate=125\n")
 }
@@ -164,8 +164,11 @@ fn a_list_of_nodes_names_their_files() {
 #[test]
 fn one_file_serves_assign_and_apply() {
     let wire = Wire::new(RATE, &[0xFF, 0xFF, 0xFF]);
-    let text =
-        format!("bit_rate = 125\n{}[[node]]\nid = 1\neds = \"{EDS}\"\n", node_with(5, 0, VALUES));
+    let text = format!(
+        "bit_rate = 125\n{}[[node]]\nid = 1\neds = \"{}\"\n",
+        node_with(5, 0, VALUES),
+        eds()
+    );
     let file = file("one-file", &text);
     // A node that has no address keeps its node-ID; `lss apply` asks which board it is.
     let outcome = wire.lss(&format!("assign --table {}", file.display()));
@@ -176,7 +179,7 @@ fn one_file_serves_assign_and_apply() {
     let (outcome, _) = wire.apply(&file, "");
     assert!(outcome.error.contains("node 1: address = "), "{}", outcome.error);
     let grown = fs::read_to_string(&file).expect("it is there");
-    fs::write(&file, grown.replace(&format!("[[node]]\nid = 1\neds = \"{EDS}\"\n"), ""))
+    fs::write(&file, grown.replace(&format!("[[node]]\nid = 1\neds = \"{}\"\n", eds()), ""))
         .expect("it can be written");
     assert_eq!(wire.apply(&file, "").0.code, 0);
     assert_eq!(wire.value(0, 0x2100, 0), [4]);

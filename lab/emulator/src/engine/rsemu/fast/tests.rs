@@ -64,6 +64,7 @@ impl Machine {
             ccm: &self.ccm,
             chip: &self.space.chip,
             guarded: 0..0,
+            double_errors: &[],
         }
     }
 

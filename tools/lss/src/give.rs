@@ -1,0 +1,259 @@
+//! How a board gets a node-ID: it is configured and stored, takes effect, and is read back after a reset. If a step
+//! fails, it is taken back.
+
+use std::time::Duration;
+
+use can_bus::{bus::Masters, sdo};
+use canopen_node::{
+    BitRate, Frame, NodeId,
+    lss::{Address, Request},
+};
+use lss_master::{Configure, InquireNodeId, SelectAlone};
+
+use crate::{address, commands::id_text, failure::Failure, scan, session::Session};
+
+/// The NMT command reset communication.
+pub const RESET_COMMUNICATION: u8 = 130;
+/// The NMT command reset node.
+const RESET_NODE: u8 = 129;
+/// The time that a board takes to boot up after a reset.
+const BOOT: Duration = Duration::from_secs(2);
+/// How often a lost frame is made up for.
+const ATTEMPTS: usize = 3;
+/// The node-ID in LSS messages of a board without one.
+const NONE: u8 = NodeId::to_lss(None);
+
+/// A node-ID for a board.
+#[derive(Clone, Copy, Debug)]
+pub struct Gift {
+    pub address: Address,
+    /// The one that it has.
+    pub before: Option<NodeId>,
+    /// The one that it gets.
+    pub to: Option<NodeId>,
+    /// The bit rate that it stores with it, if that is known.
+    pub rate: Option<BitRate>,
+}
+
+/// Gives the board in LSS configuration state its node-ID, and lets all boards enter LSS waiting state. Returns whether
+/// it sends a boot-up message: some boards send another one. A Ctrl-C waits: no board must have a node-ID that is not
+/// stored.
+pub fn give(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
+    session.uninterrupted(|session| {
+        configure(session, gift, true)?;
+        let outcome = prove(session, gift);
+        if let Err(failure) = &outcome
+            && !matches!(failure, Failure::Stop(_))
+        {
+            withdraw(session, gift);
+        }
+        outcome
+    })
+}
+
+/// Lets the board in LSS configuration state store the node-ID that it has once more, in case it is not stored.
+pub fn store_again(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure> {
+    session.uninterrupted(|session| {
+        configure(session, gift, true)?;
+        Ok(session.bus.request(Request::SwitchToWaiting)?)
+    })
+}
+
+/// Makes the node-ID pending in the board in LSS configuration state, and stores it if it `stores`.
+pub fn configure(session: &mut Session<'_>, gift: Gift, stores: bool) -> Result<(), Failure> {
+    let Gift { before, to, rate, .. } = gift;
+    let mut may_be_stored = false;
+    let mut work = || {
+        session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(to)))?;
+        if let Some(rate) = rate {
+            // It runs at this rate. One that cannot be told has it by switches.
+            match session.carry_out(Request::ConfigureBitTiming { table: 0, index: rate.index() }) {
+                Ok(()) | Err(Failure::Refused(_)) => {}
+                Err(failure) => return Err(failure),
+            }
+        }
+        if stores {
+            may_be_stored = true;
+            session.carry_out(Request::StoreConfiguration)?;
+        }
+        Ok(())
+    };
+    let outcome = work();
+    if outcome.is_err() {
+        take_back(session, before, may_be_stored);
+    }
+    outcome
+}
+
+/// Makes the node-ID pending again that a board had `before`: it must not take another one at the end of LSS
+/// configuration state, nor must others that another master has brought there. It is stored again, too, if the other
+/// one may be stored.
+fn take_back(session: &mut Session<'_>, before: Option<NodeId>, may_be_stored: bool) {
+    session.bus.mind(Masters::None);
+    // The failure is known, and this one adds nothing.
+    let _ = match may_be_stored {
+        true => session.carry_out(Configure::node_id(before)),
+        false => session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before))),
+    };
+    session.bus.mind(Masters::Lss);
+}
+
+/// Takes a stored node-ID back from a board that does not use it, and must not do so later.
+fn withdraw(session: &mut Session<'_>, gift: Gift) {
+    if session.carry_out(SelectAlone::new(gift.address)).is_ok()
+        && session.carry_out(InquireNodeId).is_ok_and(|id| id != gift.to)
+    {
+        take_back(session, gift.before, true);
+    }
+}
+
+/// Lets the stored node-ID take effect, and checks that the board has it after a reset.
+fn prove(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
+    let Some(id) = gift.to else { return take_effect(session, gift, RESET_NODE) };
+    if gift.before != gift.to {
+        take_effect(session, gift, RESET_COMMUNICATION)?;
+    }
+    reset(session, id, &gift.address)
+}
+
+/// Lets a node-ID take effect that is configured: at the end of LSS configuration state if the board has none
+/// (CiA 305), or by this NMT command.
+pub fn take_effect(session: &mut Session<'_>, gift: Gift, command: u8) -> Result<bool, Failure> {
+    let Gift { address, before, to, .. } = gift;
+    boots_up(session, &address, before, to, command, "accepted")
+}
+
+/// Resets a node, and checks that the board is there with its node-ID again: it has stored it. Returns whether it sends a
+/// boot-up message: some boards send another one.
+pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<bool, Failure> {
+    let boots = boots_up(session, address, Some(id), Some(id), RESET_NODE, "stored")?;
+    if !boots {
+        return Ok(false);
+    }
+    let number = sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)?;
+    let is_boot_up =
+        |frame: &Frame| frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0];
+    if session.bus.take_unasked().iter().any(|received| is_boot_up(&received.frame)) {
+        return Err(Failure::Refused(scan::two(&address::text(address), id.get())));
+    }
+    match number {
+        Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
+            "node {} is another board, with the serial number {number:08X}",
+            id.get()
+        ))),
+        // A node need not tell its serial number.
+        _ => Ok(true),
+    }
+}
+
+/// Lets the board `from` boot up as `to`; returns whether it sends a message then. One that is silent is asked by LSS
+/// for its node-ID.
+fn boots_up(
+    session: &mut Session<'_>,
+    address: &Address,
+    from: Option<NodeId>,
+    to: Option<NodeId>,
+    command: u8,
+    verb: &str,
+) -> Result<bool, Failure> {
+    for attempt in 0..ATTEMPTS {
+        session.bus.take_unasked();
+        // Either the request was lost or the message after it.
+        match if attempt % 2 == 0 { from } else { from.and(to).or(from) } {
+            Some(id) => session.bus.nmt(command, id.get())?,
+            None => session.bus.request(Request::SwitchToWaiting)?,
+        }
+        let Some(id) = to else {
+            if inquired(session, address)?.is_none() {
+                return Ok(false);
+            }
+            continue;
+        };
+        // Any message is new from a board that had another node-ID.
+        let is_sign = |frame: &Frame| {
+            let is_of_node = frame.cob_id() == 0x700 + u16::from(id.get());
+            is_of_node && (from != to || frame.data() == [0])
+        };
+        if session.bus.wait_for(BOOT, is_sign)?.is_some() {
+            return Ok(true);
+        }
+    }
+    let (id, after) = (id_text(to), if from.is_some() { " after a reset" } else { "" });
+    match inquired(session, address) {
+        Ok(has) if has == to => Ok(false),
+        Ok(has) => {
+            let has = id_text(has);
+            Err(Failure::Refused(format!("it {verb} node-ID {id}, but has {has}{after}")))
+        }
+        Err(Failure::NoAnswer(_)) => {
+            Err(Failure::Refused(format!("it {verb} node-ID {id}, and is silent{after}")))
+        }
+        Err(failure) => Err(failure),
+    }
+}
+
+/// The node-ID that a board has.
+fn inquired(session: &mut Session<'_>, address: &Address) -> Result<Option<NodeId>, Failure> {
+    session.carry_out(SelectAlone::new(*address))?;
+    let id = session.carry_out(InquireNodeId)?;
+    session.bus.request(Request::SwitchToWaiting)?;
+    Ok(id)
+}
+
+/// Asks who is in LSS configuration state, since an earlier run has left it there. [`take_back_rest`] takes the answers.
+pub fn ask_for_rest(session: &mut Session<'_>) -> Result<(), Failure> {
+    // Nothing needs to be undone so far.
+    session.all_wait = true;
+    session.bus.inquired.clear();
+    Ok(session.bus.request(Request::InquireNodeId)?)
+}
+
+/// Takes back what an earlier run has left: a board without a node-ID that it could not bring to LSS waiting state would
+/// take a pending one there, and nobody has stored it.
+pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
+    session.uninterrupted(|session| {
+        let mut ids = std::mem::take(&mut session.bus.inquired);
+        if !ids.remove(&NONE) {
+            session.all_wait = false;
+            return Ok(());
+        }
+        // The request is for these, too.
+        let mut nodes = Vec::new();
+        for id in ids {
+            let mut numbers = [0; 4];
+            for (number, sub_index) in numbers.iter_mut().zip(1..) {
+                *number = sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?
+                    .map_err(|why| mixed(id, &why))?;
+            }
+            nodes.push((id, Address::from(numbers)));
+        }
+        session.all_wait = false;
+        session.carry_out(Request::ConfigureNodeId(NONE)).map_err(|failure| match failure {
+            Failure::Refused(why) | Failure::NoAnswer(why) => Failure::Refused(format!(
+                "a board may have a node-ID that is not stored: {why}: switch the power of all boards off and on"
+            )),
+            failure => failure,
+        })?;
+        for (id, address) in nodes {
+            session.carry_out(SelectAlone::new(address))?;
+            session.carry_out(Request::ConfigureNodeId(id))?;
+        }
+        Ok(())
+    })
+}
+
+/// The same at once, with a wait for the answers.
+pub fn end_earlier_run(session: &mut Session<'_>) -> Result<(), Failure> {
+    ask_for_rest(session)?;
+    let wait = session.bus.short();
+    session.bus.pass(wait)?;
+    take_back_rest(session)
+}
+
+/// A node in LSS configuration state beside boards without a node-ID, and without an LSS address that is known.
+fn mixed(id: u8, why: &str) -> Failure {
+    Failure::Refused(format!(
+        "boards without a node-ID and node {id} are in LSS configuration state together, and it does not tell its LSS \
+         address (object 1018h: {why}): switch the power of all boards off and on"
+    ))
+}

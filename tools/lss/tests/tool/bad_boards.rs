@@ -1,0 +1,431 @@
+//! Boards that do not do what they must, and what an earlier run has left: no board goes silent, and none is passed over.
+
+use std::fs;
+
+use canopen_node::BitRate;
+use testkit::flash::Operation;
+
+use crate::{
+    assign::new_file,
+    in_process::{At, Defect, Fault, Wire, address_text},
+};
+
+const RATE: BitRate = BitRate::Kbit125;
+const VERIFIED: &str = "stored, verified by a reset";
+
+fn entry(id: u8, board: usize) -> String {
+    format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
+}
+
+/// Asserts that these boards have stored node-IDs of their own, and are nodes with them after a power cut.
+#[track_caller]
+fn assert_stored(wire: &Wire, boards: &[usize]) {
+    wire.power_cycle();
+    let ids = wire.ids();
+    for board in boards {
+        let (active, stored) = ids[*board];
+        assert!(active.is_some() && active == stored, "board {board}: {ids:?}");
+    }
+}
+
+#[test]
+fn a_bad_board_is_named_and_all_others_are_finished_in_each_run() {
+    let defects = [
+        (Defect::Refuses(0x11), "configure node-ID: 2 is refused: "),
+        (Defect::Refuses(0x17), "store configuration is refused: "),
+        (Defect::DeniesItsStore, "store configuration is refused: the storage medium failed"),
+        (Defect::DiesAtStore, "no answer to store configuration"),
+        (Defect::Disobeys, "it accepted node-ID 2, but has none"),
+        (Defect::Forgets, "it stored node-ID 2, but has none after a reset"),
+    ];
+    for (defect, words) in defects {
+        // The second one that is found, and the first.
+        for bad in [1, 0] {
+            let wire = Wire::new(RATE, &[0xFF; 5]);
+            wire.world().boards[bad].defect = Some(defect);
+            let words = words.replace('2', &(bad + 1).to_string());
+            let others: Vec<usize> = (0..5).filter(|board| *board != bad).collect();
+            let start = format!("board {}: {words}", address_text(bad));
+            let first = wire.lss("assign");
+            assert_eq!(first.code, 1, "{defect:?}");
+            assert!(first.error.starts_with(&start), "{defect:?}: {}", first.error);
+            assert_eq!(first.text.matches(VERIFIED).count(), 4, "{defect:?}: {}", first.text);
+            assert_stored(&wire, &others);
+            wire.mend();
+            assert_eq!(wire.ids()[bad], (None, None), "{defect:?}");
+            // A further run finds the same board first.
+            let again = wire.lss("assign");
+            assert_eq!(again.code, 1, "{defect:?}");
+            assert!(again.error.contains(&address_text(bad)), "{defect:?}: {}", again.error);
+            wire.mend();
+            wire.world().boards[bad].defect = None;
+            assert_eq!(wire.lss("assign").code, 0, "{defect:?}");
+            assert_stored(&wire, &[0, 1, 2, 3, 4]);
+            wire.assert_waiting();
+        }
+    }
+}
+
+#[test]
+fn several_bad_boards_are_all_named_and_new_ones_are_found_behind_them() {
+    let wire = Wire::new(RATE, &[0xFF; 6]);
+    for (board, defect) in [(0, Defect::Forgets), (2, Defect::Disobeys), (3, Defect::Refuses(0x17))]
+    {
+        wire.world().boards[board].defect = Some(defect);
+    }
+    let outcome = wire.lss("assign");
+    assert_eq!((outcome.code, outcome.error.lines().count()), (1, 3), "{}", outcome.error);
+    for board in [0, 2, 3] {
+        assert!(outcome.error.contains(&address_text(board)), "{}", outcome.error);
+    }
+    assert_stored(&wire, &[1, 4, 5]);
+    wire.assert_waiting();
+}
+
+#[test]
+fn a_bad_board_among_many_costs_seconds() {
+    for defect in [Defect::Refuses(0x11), Defect::DiesAtStore, Defect::Forgets] {
+        let wire = Wire::new(RATE, &[0xFF; 40]);
+        wire.world().boards[0].defect = Some(defect);
+        let outcome = wire.lss("assign");
+        assert_eq!((outcome.code, outcome.text.matches(VERIFIED).count()), (1, 39), "{defect:?}");
+        assert!(wire.seconds() < 40, "{defect:?}: {} s", wire.seconds());
+    }
+}
+
+#[test]
+fn a_board_whose_flash_fails_is_named_and_all_others_are_finished() {
+    let wire = Wire::new(RATE, &[0xFF; 3]);
+    wire.world().boards[0].rig.flash.fail(Operation::Write);
+    let outcome = wire.lss("assign");
+    let words = "store configuration is refused: the storage medium failed";
+    assert_eq!(outcome.code, 1);
+    assert_eq!(outcome.error, format!("board {}: {words}", address_text(0)));
+    assert_eq!(outcome.text.matches(VERIFIED).count(), 2);
+}
+
+#[test]
+fn a_bad_board_of_a_table_is_named_and_all_others_are_finished() {
+    for defect in [Defect::Refuses(0x17), Defect::DiesAtStore, Defect::Disobeys, Defect::Forgets] {
+        let table = new_file("bad.toml");
+        let text = entry(7, 0) + &entry(8, 1);
+        for command in ["assign --table", "apply"] {
+            fs::write(&table, &text).expect("it can be written");
+            let wire = Wire::new(RATE, &[0xFF, 9]);
+            wire.world().boards[0].defect = Some(defect);
+            let outcome = wire.lss(&format!("{command} {}", table.display()));
+            assert_eq!(outcome.code, 1, "{command} {defect:?}");
+            assert!(outcome.error.contains(&address_text(0)), "{command}: {}", outcome.error);
+            assert_eq!(wire.ids()[1], (Some(8), Some(8)), "{command} {defect:?}");
+            wire.mend();
+            wire.power_cycle();
+            assert_eq!(wire.ids()[0], (None, None), "{command} {defect:?}");
+            wire.assert_waiting();
+            // What it left is beside the table.
+            let _ = fs::remove_file(table.with_file_name("bad.toml.unfinished"));
+        }
+    }
+}
+
+#[test]
+fn node_ids_that_run_out_are_told_for_each_board_without_one() {
+    let wire = Wire::new(RATE, &[0xFF; 5]);
+    let outcome = wire.lss("assign --first 126");
+    assert_eq!((outcome.code, outcome.text.matches(VERIFIED).count()), (1, 2));
+    let line = |board: usize| {
+        format!("board {} needs a node-ID, but none from 126 on is free", address_text(board))
+    };
+    assert_eq!(outcome.error, [2, 3, 4].map(line).join("\n"));
+    assert_stored(&wire, &[0, 1]);
+    wire.assert_waiting();
+}
+
+#[test]
+fn after_ctrl_c_what_was_done_is_printed_and_a_bad_board_is_named() {
+    // The node-IDs of the first and of the last board, by the numbers of their frames.
+    let network = || {
+        let wire = Wire::new(RATE, &[0xFF; 4]);
+        wire.world().boards[1].defect = Some(Defect::Refuses(0x17));
+        wire
+    };
+    let wire = network();
+    assert_eq!(wire.lss("assign").code, 1);
+    let number = |id: u8| {
+        let world = wire.world();
+        world.sent.iter().position(|frame| frame.data().starts_with(&[0x11, id]))
+    };
+    let (first, last) = (number(1).expect("the first"), number(4).expect("the last"));
+    let wire = network();
+    wire.fail_at(At::Frame(last - first - 8), Fault::CtrlC);
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 130);
+    assert_eq!(outcome.text.matches(VERIFIED).count(), 2, "{}", outcome.text);
+    assert!(outcome.text.contains(&format!("! board {}: ", address_text(1))), "{}", outcome.text);
+    wire.assert_waiting();
+    assert!(wire.ids().iter().all(|(active, stored)| active == stored), "{:?}", wire.ids());
+}
+
+#[test]
+fn a_node_id_that_nobody_stored_is_taken_back_before_it_takes_effect() {
+    for between in [None, Some("list"), Some("inquire"), Some("identify --vendor 0 --product 0")] {
+        let wire = Wire::new(RATE, &[0xFF]);
+        for raw in ["raw 04 01", "raw 11 01"] {
+            assert_eq!(wire.lss(raw).code, 0);
+        }
+        if let Some(command) = between {
+            wire.lss(command);
+        }
+        assert_eq!(wire.lss("assign").code, 0);
+        assert_stored(&wire, &[0]);
+    }
+}
+
+#[test]
+fn a_node_id_that_nobody_stored_is_taken_back_before_apply() {
+    let table = new_file("left.toml");
+    fs::write(&table, entry(1, 0)).expect("it can be written");
+    let wire = Wire::new(RATE, &[0xFF]);
+    for raw in ["raw 04 01", "raw 11 01"] {
+        assert_eq!(wire.lss(raw).code, 0);
+    }
+    assert_eq!(wire.apply(&table, "").0.code, 0);
+    assert_stored(&wire, &[0]);
+}
+
+#[test]
+fn nodes_in_configuration_state_keep_their_node_ids_when_others_lose_theirs() {
+    let wire = Wire::new(RATE, &[5, 0xFF, 7]);
+    for raw in ["raw 04 01", "raw 11 01"] {
+        assert_eq!(wire.lss(raw).code, 0);
+    }
+    assert_eq!(wire.lss("assign").code, 0);
+    // As an NMT master does at its start.
+    for board in &mut wire.world().boards {
+        let _ = board.rig.nmt("82 00");
+    }
+    assert_eq!(wire.ids(), [5, 1, 7].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn after_the_adapter_was_gone_at_any_frame_a_further_run_stores_all() {
+    for fault in [Fault::AdapterGone, Fault::AdapterGoneBehind, Fault::CtrlC] {
+        // From the configuration of a board to the search for the next.
+        for frame in 0..10 {
+            let wire = Wire::new(RATE, &[0xFF, 0xFF]);
+            wire.fail_at(At::Frame(frame), fault);
+            let what = format!("{fault:?} at frame {frame}");
+            wire.lss("assign");
+            assert!(wire.mend(), "{what}");
+            assert_eq!(wire.lss("assign").code, 0, "{what}");
+            assert_stored(&wire, &[0, 1]);
+            wire.assert_waiting();
+        }
+    }
+}
+
+#[test]
+fn a_node_id_that_is_taken_back_is_taken_out_of_the_flash_too() {
+    let table = new_file("back.toml");
+    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let with_table = format!("assign --table {}", table.display());
+    let apply = format!("apply {}", table.display());
+    let set = format!("set-id 7 --store --address {}", address_text(0));
+    let reset = format!("{set} --reset");
+    for (command, before) in [
+        ("assign --first 7", None),
+        (&*with_table, None),
+        (&*with_table, Some(3)),
+        (&*apply, None),
+        (&*apply, Some(3)),
+        (&*set, None),
+        (&*set, Some(3)),
+        (&*reset, Some(3)),
+    ] {
+        let wire = Wire::new(RATE, &[before.unwrap_or(0xFF)]);
+        wire.world().boards[0].defect = Some(Defect::DeniesItsStore);
+        assert_eq!(wire.lss(command).code, 1, "{command}");
+        assert_eq!(wire.ids(), [(before, before)], "{command}");
+        wire.power_cycle();
+        assert_eq!(wire.ids(), [(before, before)], "{command}");
+        let _ = fs::remove_file(table.with_file_name("back.toml.unfinished"));
+    }
+}
+
+#[test]
+fn a_stored_node_id_that_a_board_does_not_use_is_taken_back() {
+    let table = new_file("unused.toml");
+    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let set = "set-id 7 --store --reset".to_owned();
+    for command in [set, format!("assign --table {}", table.display())] {
+        let wire = Wire::new(RATE, &[3]);
+        wire.world().boards[0].defect = Some(Defect::IgnoresResets);
+        let outcome = wire.lss(&command);
+        assert_eq!(outcome.code, 1, "{command}");
+        let words =
+            format!("board {}: it accepted node-ID 7, but has 3 after a reset", address_text(0));
+        assert!(outcome.error.starts_with(&words), "{command}: {}", outcome.error);
+        wire.power_cycle();
+        assert_eq!(wire.ids(), [(Some(3), Some(3))], "{command}");
+    }
+}
+
+#[test]
+fn a_board_that_loses_its_node_id_again_is_named() {
+    let wire = Wire::new(RATE, &[0xFF; 3]);
+    wire.world().boards[0].defect = Some(Defect::LosesItsNodeId);
+    let outcome = wire.lss("assign");
+    let words = format!("board {} has lost node-ID 1 again", address_text(0));
+    assert_eq!((outcome.code, &*outcome.error), (1, &*words));
+    assert_stored(&wire, &[1, 2]);
+}
+
+#[test]
+fn a_node_id_that_cannot_be_taken_back_is_told() {
+    let wire = Wire::new(RATE, &[0xFF]);
+    for raw in ["raw 04 01", "raw 11 01"] {
+        assert_eq!(wire.lss(raw).code, 0);
+    }
+    wire.world().refused = Some([0x11, 0xFF]);
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 1);
+    let words =
+        "a board may have a node-ID that is not stored: configure node-ID: not configured (FF) is";
+    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+    assert!(outcome.error.ends_with(": switch the power of all boards off and on"));
+    wire.assert_waiting();
+    wire.power_cycle();
+    assert_eq!(wire.lss("assign").code, 0);
+    assert_stored(&wire, &[0]);
+}
+
+#[test]
+fn set_id_with_store_reads_back_what_is_stored() {
+    for (before, reset) in [(None, ""), (Some(3), "--reset")] {
+        let wire = Wire::new(RATE, &[before.unwrap_or(0xFF)]);
+        wire.world().boards[0].defect = Some(Defect::Forgets);
+        let outcome = wire.lss(&format!("set-id 7 --store {reset}"));
+        assert_eq!(outcome.code, 1, "{}", outcome.text);
+        assert!(outcome.error.contains("it stored node-ID 7, but has "), "{}", outcome.error);
+        assert_eq!(wire.ids(), [(before, before)]);
+    }
+}
+
+#[test]
+fn another_board_at_the_node_id_after_the_reset_is_told() {
+    // Board 1 has the node-ID, and comes when board 0 is reset.
+    let wire = Wire::new(RATE, &[0xFF, 1]);
+    wire.world().may_collide = true;
+    wire.world().boards[1].is_there = false;
+    wire.world().boards[0].defect = Some(Defect::IsReplacedAtReset(1));
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 1, "{}", outcome.text);
+    let words = format!(
+        "board {}: node 1 is another board, with the serial number 00001001",
+        address_text(0)
+    );
+    assert!(outcome.error.starts_with(&words), "{}", outcome.error);
+}
+
+#[test]
+fn a_boot_up_message_may_be_lost_twice() {
+    let wire = Wire::new(RATE, &[0xFF]);
+    // That after LSS configuration state is the first.
+    wire.world().boards[0].defect = Some(Defect::LosesBootUps(3));
+    let outcome = wire.lss("assign");
+    assert_eq!((outcome.code, outcome.text.matches(VERIFIED).count()), (0, 1), "{}", outcome.text);
+    wire.world().boards[0].defect = Some(Defect::LosesBootUps(2));
+    let outcome = wire.lss("set-id 9 --store --reset");
+    assert_eq!((outcome.code, wire.ids()), (0, vec![(Some(9), Some(9))]));
+}
+
+#[test]
+fn boards_of_a_table_that_are_missing_do_not_cost_minutes() {
+    let table = new_file("all-missing.toml");
+    let text: String = (1..=127).map(|id| entry(id, id as usize)).collect();
+    // Nobody is there, a node, a blank board.
+    for (boards, seconds) in [(&[][..], 10), (&[9], 40), (&[0xFF], 40)] {
+        for command in ["assign --table", "apply"] {
+            fs::write(&table, &text).expect("it can be written");
+            let wire = Wire::new(RATE, boards);
+            let outcome = wire.lss(&format!("{command} {}", table.display()));
+            let code = if boards.is_empty() && command == "apply" { 3 } else { 1 };
+            assert_eq!(outcome.code, code, "{command} {boards:?}");
+            assert!(wire.seconds() < seconds, "{command} {boards:?}: {} s", wire.seconds());
+        }
+    }
+}
+
+#[test]
+fn a_board_among_many_missing_ones_is_found() {
+    let table = new_file("one-of-many.toml");
+    let text: String = (1..=127).map(|id| entry(id, id as usize - 1)).collect();
+    for command in ["assign --table", "apply"] {
+        fs::write(&table, &text).expect("it can be written");
+        let mut ids = [0xFF; 41];
+        // It has another node-ID, and tells nothing by SDO.
+        ids[40] = 99;
+        let wire = Wire::new(RATE, &ids);
+        for board in 0..40 {
+            wire.world().boards[board].is_there = board == 30;
+        }
+        let _ = wire.world().boards[40].rig.nmt("02 63");
+        let outcome = wire.lss(&format!("{command} {}", table.display()));
+        assert_eq!(outcome.code, 1, "{command}");
+        assert_eq!((wire.ids()[30], wire.ids()[40]), ((Some(31), Some(31)), (Some(41), Some(41))));
+        assert!(wire.seconds() < 40, "{command}: {} s", wire.seconds());
+    }
+}
+
+#[test]
+fn a_new_board_is_moved_when_another_one_came_with_its_node_id() {
+    let wire = Wire::new(RATE, &[0xFF, 1]);
+    wire.world().may_collide = true;
+    wire.world().boards[1].is_there = false;
+    wire.world().boards[0].defect = Some(Defect::IsJoinedAtReset(1));
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    assert!(outcome.text.contains("another board came with node-ID 1\n"), "{}", outcome.text);
+    wire.world().may_collide = false;
+    wire.power_cycle();
+    assert_eq!(wire.ids(), [2, 1].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn boards_that_share_a_node_id_are_named() {
+    let wire = Wire::new(RATE, &[5, 5, 0xFF]);
+    wire.world().may_collide = true;
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 1);
+    let words = "2 boards have node-ID 5, with the serial numbers 00001000, 00001001: give all but";
+    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+    assert_eq!(wire.ids()[2], (Some(1), Some(1)));
+}
+
+#[test]
+fn the_node_id_of_a_heartbeat_is_not_given_though_nobody_answers() {
+    let wire = Wire::with_heartbeat(RATE, &[1, 0xFF], 100);
+    // It is stopped, and does not answer to SDO.
+    let _ = wire.world().boards[0].rig.nmt("02 01");
+    assert_eq!(wire.lss("assign").code, 0);
+    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn a_node_whose_first_answer_is_lost_keeps_its_node_id_alone() {
+    let wire = Wire::new(RATE, &[1, 0xFF]);
+    wire.world().boards[0].defect = Some(Defect::LosesAnswers(1));
+    assert_eq!(wire.lss("assign").code, 0);
+    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn a_board_with_the_serial_number_of_another_product_is_not_the_one() {
+    let path = new_file("serial-number.toml");
+    for (part, other) in [(":4C535334:", ":4C535335:"), (":00010000:", ":00010001:")] {
+        fs::write(&path, entry(5, 0).replace(part, other)).expect("it can be written");
+        let wire = Wire::new(RATE, &[5]);
+        let outcome = wire.lss(&format!("assign --table {}", path.display()));
+        assert_eq!(outcome.code, 1, "{}", outcome.text);
+        assert!(outcome.error.starts_with("node 5 of the table is missing"), "{}", outcome.error);
+    }
+}
