@@ -52,7 +52,11 @@ fn log(random: &mut Random) -> Vec<u8> {
 /// Changes bytes in use, places or a whole bank.
 fn damage(random: &mut Random, content: &mut [u8]) {
     let used: Vec<usize> = (0..content.len()).filter(|&at| content[at] != 0xFF).collect();
-    let place = |at: usize| at - at % PLACE..at - at % PLACE + PLACE;
+    // The rest of a bank behind its last place counts as one.
+    let place = |at: usize| {
+        let start = at - at % BANK % PLACE;
+        start..(start + PLACE).min(at - at % BANK + BANK)
+    };
     let (at, other) = (random.pick(&used), random.pick(&used));
     // The last places decide most.
     let near_end = used[used.len() - 1 - random.within(0..used.len().min(200) as u64) as usize];
@@ -61,7 +65,11 @@ fn damage(random: &mut Random, content: &mut [u8]) {
         3 => content[at] &= random.byte(),
         4 => content[near_end - near_end % 4..][..4].fill(random.pick(&[0x00, 0xFF])),
         5 => content[place(near_end)].fill(0xFF),
-        6 => content.copy_within(place(at), place(other).start),
+        6 => {
+            let (from, to) = (place(at), place(other));
+            let length = from.len().min(to.len());
+            content.copy_within(from.start..from.start + length, to.start);
+        }
         _ => content[at - at % BANK..][..BANK].fill(random.pick(&[0x00, 0xFF, 0xFF])),
     }
 }
