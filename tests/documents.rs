@@ -125,9 +125,9 @@ fn every_path_that_a_document_names_exists() {
 #[test]
 fn every_command_of_the_project_that_a_document_names_exists() {
     let mut faults = Vec::new();
-    for tool in ["tools/xtask", "proof/verify"] {
+    for (tool, folder) in [("xtask", "tools/xtask"), ("verify", "proof/verify")] {
         let main =
-            fs::read_to_string(workspace().join(tool).join("src/main.rs")).expect("the commands");
+            fs::read_to_string(workspace().join(folder).join("src/main.rs")).expect("the commands");
         let run = |name: &str| format!("=> {}::run(", name.replace('-', "_"));
         for (document, text) in documents() {
             for command in text.split(&format!("cargo {tool} ")).skip(1) {
