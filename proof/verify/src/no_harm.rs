@@ -37,7 +37,7 @@ const PRINTED: usize = 6;
 /// rates). One that has not may take 5 s after a disturbance. A plain slave at a different rate from the master's is
 /// lost; the product must be found within 5 s of the first evidence, after a commanded switch 30 s later, unless its
 /// own rate was proven. After a session the stored settings and the bit rate must be those of the plain slave.
-/// docs/testing.md has the exceptions.
+/// docs/extended-test-runs.md has the exceptions.
 ///
 /// The first failing situations are minimised and printed as a list of events, with the seed that replays them.
 #[derive(clap::Args)]

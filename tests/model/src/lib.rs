@@ -1,5 +1,5 @@
 //! A small network as a model for a checker: every reachable state of boards with the real node, of faults, and of an
-//! LSS master (`docs/testing.md`).
+//! LSS master (`docs/extended-test-runs.md`).
 
 pub mod board;
 pub mod check;

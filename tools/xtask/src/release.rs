@@ -22,7 +22,7 @@ use crate::{eds, size};
 ///   SHA256SUMS               the checksums of these files
 ///
 /// No file has a byte for the settings in sectors 1 and 2 of the flash. All are the same bytes wherever they are made:
-/// docs/flashing.md.
+/// docs/product.md, "Write the image".
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {

@@ -1,4 +1,16 @@
 //! The PDOs among the parameters that 1010h stores: each as a whole, its parameters and its mapping.
+//!
+//! A PDO is one value, at sub-index 0 of its communication parameter: numbers of four bytes, little endian.
+//!
+//! | PDO | numbers |
+//! |---|---|
+//! | RPDO | COB-ID, transmission type, the mapped objects |
+//! | TPDO | COB-ID, transmission type, inhibit time, event timer, SYNC start value, the mapped objects |
+//!
+//! Bit 31 of the COB-ID is set in a PDO that is not valid. Bits 10 to 0 are the CAN-ID, unless bit 11 is set in place of
+//! them: then the PDO has its default COB-ID, which follows the node-ID. The mapped objects are as in the mapping
+//! parameter, as many as the PDO carries. If one of them does not exist any more, has another length or cannot be
+//! mapped, the PDO is as the application declares it.
 
 use super::{
     Configuration, Pdos,

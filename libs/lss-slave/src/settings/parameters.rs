@@ -1,4 +1,14 @@
 //! Parameters: the values that object 1010h stores, packed one after another.
+//!
+//! Each is packed like this, little endian:
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 0..1 | index |
+//! | 2 | sub-index |
+//! | 3 | data type, as CiA 301 numbers them: `06` is UNSIGNED16 |
+//! | 4..5 | length of the value in bytes |
+//! | from 6 | the value as in an SDO transfer |
 
 use super::{log::place, record::PART_LEN};
 use crate::bytes::copy;

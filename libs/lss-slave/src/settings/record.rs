@@ -1,4 +1,40 @@
 //! A record of the settings log and a part of its parameters: 32 bytes each.
+//!
+//! # A record
+//! Little endian. It is valid if the CRC and the commit word are right, the kind is known and the settings are legal.
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 0..3 | sequence: greater by one with each place, later than all that can be read in both banks, wraps |
+//! | 4 | kind: `01` settings, `00` the device's defaults apply |
+//! | 5 | node-ID, `01`..`7F`; `FF` none |
+//! | 6 | bit rate: index in the LSS table, `00`..`04`, `06`..`08`, `09` automatic |
+//! | 7 | unused, `FF` |
+//! | 8..9 | producer heartbeat time in ms |
+//! | 10..11 | parameters: their first place, counted from the start of the bank |
+//! | 12..13 | length of the parameters in bytes; `FFFF` none |
+//! | 14..17 | CRC-32 of the parameters |
+//! | 18..19 | the number of parts from that place on; `FFFF` all parts of the parameters, in order |
+//! | 20..21 | the place of an earlier record, to whose parameters the other parts belong; `FFFF` none |
+//! | 22 | state of the [other bank](OtherBank) |
+//! | 23 | unused, `FF` |
+//! | 24..27 | CRC-32 (IEEE 802.3) of bytes 0..23; `0000 0000` stands for one that would read blank |
+//! | 28..31 | commit word, `4C 53 53 31` ("LSS1") |
+//!
+//! Without parameters bytes 10..21 are `FF`. The CRC covers the unused bytes, so a later version can use them with kind
+//! `01`: `FF` there means that an older version wrote the record.
+//!
+//! # A part of the parameters
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 0..3 | sequence |
+//! | 4..27 | the next 24 bytes of the parameters; the rest of the last part is `FF` |
+//! | 28..29 | the number of the part, from 0 on |
+//! | 30..31 | `53 50` ("SP"): the place holds no record, whatever the bytes before read |
+//!
+//! A store writes and reads back the parts that differ from the stored ones, then the record, which refers to them and
+//! to the record with the others. The first record with parameters in a bank follows all parts.
 
 use super::Settings;
 use crate::{BitRateSetting, NodeId, bytes::copy};
@@ -26,9 +62,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// The record in flash: sequence (4 bytes, little endian), kind, node-ID, bit rate index, 1 byte unused, heartbeat
-    /// time (2 bytes), reference to the parameters (12 bytes), state of the other bank, 1 byte unused, CRC-32 of the
-    /// bytes before it, commit word.
+    /// The record in flash.
     pub fn to_bytes(self) -> [u8; LEN] {
         let [s0, s1, s2, s3] = self.sequence.to_le_bytes();
         let (kind, node_id, index, [h0, h1]) = match self.settings {

@@ -1,4 +1,16 @@
 //! The start of the log: it finds the newest record, makes it certain, and erases the bank without it.
+//!
+//! It searches both banks from the end. It takes the bank with the later certain record, and in it the last valid one:
+//!
+//! | it finds | it does |
+//! |---|---|
+//! | a certain record as the last one | takes it |
+//! | a valid record as the last one, which is not certain | takes it, appends it again, as "erased" if the other bank is |
+//! | a valid record, followed by something else | takes it, never writes into the rest, appends it again |
+//! | a valid record whose parameters are damaged | takes it, appends it again without parameters |
+//! | after any of these, a record without "erased", or anything in the other bank | appends it as "used", then as "doomed", erases the other bank, appends it as "erased" |
+//! | no valid record | erases both banks, writes a record without settings as "used", "doomed" and "erased" |
+//! | a flash that cannot be read, erased or written | continues with the settings found, or the defaults |
 
 use core::{mem, ops::Range};
 
