@@ -1,4 +1,12 @@
 //! The flash's wait states and the ART accelerator, which hides most of them (RM0090 3.5).
+//!
+//! - A read gives a line of 128 bits and takes six cycles; the flash does one read at a time.
+//! - The line of the present instruction, the prefetched line after it, and 64 lines of instructions and eight of data in
+//!   caches, the least recently used of which are replaced, need no read. Each line that is used goes into its cache.
+//! - A prefetch under way is finished before the next read. One that has not begun gives way to it.
+//!
+//! The words that a Cortex-M4 fetches ahead of the present instruction are left out: they hide some waits, and cause
+//! others behind a jump.
 
 /// The fields of FLASH_ACR.
 const LATENCY: u32 = 0xF;
