@@ -109,8 +109,8 @@ impl BlockDownload {
 /// be executed as requests. CiA 301 gives them nothing that a request cannot have: only the sequence number in the first
 /// byte tells them apart. So the next number in sequence is a segment. Another first byte is a request if it begins a
 /// transfer, as a client that has ended a transfer may begin another at once, and a segment behind a lost one if it does
-/// not. What remains: one of 127 positions at which a first request looks like the next segment. It is not answered,
-/// since file content that is executed does more harm than a request that is repeated, and its repetition is.
+/// not. One ambiguity remains: at one of 127 positions a first request looks like the next segment. We ignore it; the
+/// client will repeat it. File content that is executed does more harm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Rest(u8);
 
