@@ -114,8 +114,9 @@ pub trait Application: Dictionary {
         Ok(())
     }
 
-    /// Brings a value up to date that is about to be read: by a client, or for a TPDO. It is called before each look for
-    /// news in a TPDO, which follows every frame and change, so it must be short. A [`Domain`] and a store do without.
+    /// Brings a value up to date that is about to be read: by a client, or for a TPDO. It is called before each look
+    /// for a change in a TPDO, which follows every frame and change, so it must be short. A [`Domain`] and a store do
+    /// without.
     fn before_read(&mut self, index: u16, sub_index: u8) {
         let _ = (index, sub_index);
     }

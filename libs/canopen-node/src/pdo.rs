@@ -53,7 +53,7 @@ pub(crate) struct Pdos<const TPDOS: usize, const RPDOS: usize> {
     synchronous: Tpdos,
     /// The other TPDOs in use.
     event_driven: Tpdos,
-    /// The synchronous TPDOs that a SYNC has asked for, and the others that may have news.
+    /// The synchronous TPDOs that a SYNC has asked for, and the others that may have changed.
     due: Tpdos,
     rpdos: [Reception; RPDOS],
     /// The latest SYNC had a wrong length.
@@ -197,7 +197,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         self.due.add_all(self.event_driven);
     }
 
-    /// Makes the TPDO with this number, from 1, due without news, if it is in use. One of type 0 waits for SYNC.
+    /// Makes the TPDO with this number, from 1, due without a change, if it is in use. One of type 0 waits for SYNC.
     pub fn request(&mut self, number: u8) {
         let at = usize::from(number).wrapping_sub(1);
         if let Some(tpdo) = self.tpdos.get_mut(at) {

@@ -236,7 +236,7 @@ impl Mapping {
     }
 
     /// Whether a value differs that is not quiet.
-    pub fn has_news(&self, data: &[u8; 8], sent: &[u8; 8]) -> bool {
+    pub fn has_changed(&self, data: &[u8; 8], sent: &[u8; 8]) -> bool {
         let mut bytes = data.iter().zip(sent);
         data != sent
             && self.entries().any(|entry| {

@@ -45,7 +45,7 @@ impl Transmission {
         *self = Self::new(self.cob_id);
     }
 
-    /// Makes it due without news.
+    /// Makes it due without a change.
     pub const fn request(&mut self) {
         self.is_due = true;
     }
@@ -68,10 +68,10 @@ impl Transmission {
         is_asked_for
     }
 
-    /// The frame that a SYNC has asked for. Type 0 has none without news.
+    /// The frame that a SYNC has asked for. Type 0 has none without a change.
     pub fn answer_sync<A: Application>(&mut self, pdo: &Pdo, application: &mut A) -> Option<Frame> {
         let data = pdo.mapping.read(application);
-        let is_sent = pdo.transmission_type != 0 || self.has_news(pdo, &data);
+        let is_sent = pdo.transmission_type != 0 || self.has_changed(pdo, &data);
         is_sent.then(|| self.send(pdo, data)).flatten()
     }
 
@@ -86,7 +86,7 @@ impl Transmission {
         self.event_at.filter(is_over).filter(|_| self.inhibited_until.is_none())
     }
 
-    /// The frame of an event-driven TPDO with news, or whose event timer `is_timed_out`; and whether it has no news.
+    /// The frame of an event-driven TPDO that has changed, or whose event timer `is_timed_out`; and whether only the latter.
     pub fn poll<A: Application>(
         &mut self,
         pdo: &Pdo,
@@ -98,18 +98,18 @@ impl Transmission {
             return None;
         }
         let data = pdo.mapping.read(application);
-        let has_news = self.has_news(pdo, &data);
-        if !has_news && !is_timed_out {
+        let has_changed = self.has_changed(pdo, &data);
+        if !has_changed && !is_timed_out {
             return None;
         }
         let after = |micros: u32| (micros > 0).then(|| now.plus_micros(micros));
         self.inhibited_until = after(u32::from(pdo.inhibit_time) * 100);
         self.event_at = after(pdo.event_timer_micros());
-        Some((self.send(pdo, data)?, !has_news))
+        Some((self.send(pdo, data)?, !has_changed))
     }
 
-    fn has_news(&self, pdo: &Pdo, data: &[u8; 8]) -> bool {
-        self.is_due || pdo.mapping.has_news(data, &self.sent)
+    fn has_changed(&self, pdo: &Pdo, data: &[u8; 8]) -> bool {
+        self.is_due || pdo.mapping.has_changed(data, &self.sent)
     }
 
     fn send(&mut self, pdo: &Pdo, data: [u8; 8]) -> Option<Frame> {

@@ -220,8 +220,8 @@ impl Control {
             }
             None => {
                 self.is_settled = self.supervision.is_settled();
-                let is_news = self.is_settled && mem::take(&mut self.needs_all_frames);
-                is_news.then_some(Next::Settled)
+                let has_settled = self.is_settled && mem::take(&mut self.needs_all_frames);
+                has_settled.then_some(Next::Settled)
             }
         }
     }
