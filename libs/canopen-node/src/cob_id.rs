@@ -31,7 +31,6 @@ impl CobId {
         Self { is_valid, moved_to: None }
     }
 
-    #[inline(never)] // It has several callers.
     fn id(self, base: Option<u16>, node: Option<NodeId>) -> u16 {
         let of_node = node.map_or(0, |node| u16::from(node.get()));
         self.moved_to.unwrap_or(base.map_or(NONE, |base| base.wrapping_add(of_node)))

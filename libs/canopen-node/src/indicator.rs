@@ -50,7 +50,6 @@ enum Pattern {
 const STEPS: u8 = 48;
 
 impl Pattern {
-    #[inline(never)] // It has two callers: 40 bytes.
     const fn is_on(self, step: u8) -> bool {
         match self {
             Self::Off => false,

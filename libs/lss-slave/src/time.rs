@@ -41,7 +41,7 @@ impl Instant {
     }
 
     /// The earlier of two optional deadlines.
-    #[inline(never)] // It has several callers.
+    #[inline(never)] // Inlined, it takes 24 to 116 bytes more.
     pub fn earliest(a: Option<Self>, b: Option<Self>) -> Option<Self> {
         match (a, b) {
             (Some(a), Some(b)) => Some(a.earlier(b)),

@@ -68,7 +68,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     /// Discards pending SDO requests and transfers.
-    #[inline(never)] // It has two callers: 40 bytes.
     pub(super) fn end_sdo(&mut self) {
         self.end_sdo_transfer();
         self.sdo.reset();
@@ -76,7 +75,6 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 
     /// Discards the current SDO transfer without an answer to the client.
-    #[inline(never)] // It has several callers.
     pub(super) fn end_sdo_transfer(&mut self) {
         if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
             self.product.application.abort_domain(*index, *sub_index);

@@ -123,7 +123,6 @@ fn find_code(
 }
 
 /// The entry of a mapping for this object: index, sub-index and length in bits.
-#[inline(never)] // It has several callers.
 fn code(entry: &Entry) -> u32 {
     let bits = u32::from(entry.data_type.size()) * 8;
     u32::from(entry.index) << 16 | u32::from(entry.sub_index) << 8 | bits

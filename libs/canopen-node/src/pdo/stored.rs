@@ -93,7 +93,6 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
     }
 }
 
-#[inline(never)] // It has two callers.
 fn put_pdo(to: &mut Packer<'_>, index: u16, pdo: &Pdo, direction: Direction) {
     let parameters = Pdo::stored_parameters(direction);
     let len = 4 * parameters.saturating_add(pdo.mapping.number());

@@ -86,7 +86,7 @@ impl Transmission {
         self.event_at.filter(is_over).filter(|_| self.inhibited_until.is_none())
     }
 
-    /// The frame of an event-driven TPDO that has changed, or whose event timer `is_timed_out`; and whether only the latter.
+    /// The frame of an event-driven TPDO that has changed or whose event timer `is_timed_out`; whether only the latter.
     pub fn poll<A: Application>(
         &mut self,
         pdo: &Pdo,

@@ -38,7 +38,6 @@ impl<C: Controller> Bus<C> {
     }
 
     /// Starts the controller in its mode and at its rate.
-    #[inline(never)] // It has several callers.
     pub fn restart<const RPDOS: usize, const PRODUCERS: usize>(
         &mut self,
         receives: &Receives<RPDOS, PRODUCERS>,
@@ -50,7 +49,7 @@ impl<C: Controller> Bus<C> {
     }
 
     /// Starts sampling the bus, unless the bit rate is proven.
-    #[inline(never)] // It has several callers.
+    #[inline(never)] // Inlined, it takes 48 to 60 bytes more.
     pub fn sample(&mut self, now: Instant) {
         if self.is_searching && self.can.sample().is_some() {
             self.sampler.begin(now);

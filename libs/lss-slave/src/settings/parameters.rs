@@ -79,7 +79,6 @@ impl<'a> Packer<'a> {
     }
 
     /// Appends a parameter.
-    #[inline(never)] // It has several callers.
     pub fn put(&mut self, parameter: &Parameter<'_>) {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         let place = self.reserve(index, sub_index, data_type, value.len());
@@ -88,7 +87,6 @@ impl<'a> Packer<'a> {
 
     /// Appends a parameter and returns the place of its value, which the caller fills in. One that does not fit is left
     /// out, and its place is empty.
-    #[inline(never)] // It has several callers.
     pub fn reserve(&mut self, index: u16, sub_index: u8, data_type: u8, len: usize) -> &mut [u8] {
         let rest = self.to.get_mut(self.len..).unwrap_or_default();
         if let Some((header, rest)) = rest.split_first_chunk_mut::<HEADER>()

@@ -223,7 +223,7 @@ const KIND_DEFAULTS: u8 = 0x00;
 
 /// Continues a CRC-32 as in IEEE 802.3, which begins with all ones and is inverted at the end. Bit by bit: the code is
 /// small, and a start checks at most a thousand records.
-#[inline(never)] // It has several callers.
+#[inline(never)] // Inlined, it takes 100 bytes more.
 pub fn crc32_of_more(mut crc: u32, bytes: &[u8]) -> u32 {
     for byte in bytes {
         crc ^= u32::from(*byte);
