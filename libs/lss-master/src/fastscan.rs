@@ -25,8 +25,8 @@ pub struct Fastscan {
     is_skipping: bool,
     /// The parts as far as they are known now.
     found: [Option<u32>; 4],
-    /// The part in doubt since a confirmation failed.
-    doubtful: Option<AddressPart>,
+    /// The part whose confirmation has failed.
+    contradicted: Option<AddressPart>,
     retries: u8,
     state: State,
 }
@@ -55,7 +55,7 @@ impl Fastscan {
             likely: [None; 4],
             is_skipping: false,
             found: [None; 4],
-            doubtful: None,
+            contradicted: None,
             retries: RETRIES,
             state: State::SwitchToWaiting,
         }
@@ -169,18 +169,18 @@ impl Fastscan {
     }
 
     /// Confirms all parts anew after a contradiction at `part`; looks for `part` again if that has happened before.
-    fn doubt(&mut self, part: AddressPart) -> Step<Option<Address>> {
+    fn begin_anew(&mut self, part: AddressPart) -> Step<Option<Address>> {
         if self.retries == 0 {
             return Step::Done(Err(Error::Inconsistent));
         }
         self.retries -= 1;
         self.likely[AddressPart::SerialNumber as usize] = None;
-        if self.doubtful != Some(part) {
-            self.doubtful = Some(part);
+        if self.contradicted != Some(part) {
+            self.contradicted = Some(part);
         } else if self.known[part as usize].is_some() {
             return Step::Done(Ok(None));
         } else {
-            self.doubtful = None;
+            self.contradicted = None;
             for (found, known) in self.found.iter_mut().zip(self.known).skip(part as usize) {
                 *found = known;
             }
@@ -205,7 +205,7 @@ impl Procedure for Fastscan {
 
     fn begin(&mut self) -> Step<Option<Address>> {
         self.found = self.known;
-        self.doubtful = None;
+        self.contradicted = None;
         self.retries = RETRIES;
         self.start()
     }
@@ -241,12 +241,12 @@ impl Procedure for Fastscan {
                 Step::probe(Request::Inquire(AddressPart::SerialNumber))
             }
             State::Confirm(part) if is_answered => self.scan(self.after(part)),
-            State::Confirm(part) => self.doubt(part),
+            State::Confirm(part) => self.begin_anew(part),
             State::Inquire(part) => {
-                let Ok(Some(number)) = outcome else { return self.doubt(part) };
+                let Ok(Some(number)) = outcome else { return self.begin_anew(part) };
                 let found = &mut self.found[part as usize];
                 if part == AddressPart::SerialNumber && *found != Some(number) {
-                    return self.doubt(part);
+                    return self.begin_anew(part);
                 }
                 *found = Some(number);
                 match self.told_after(part) {

@@ -12,8 +12,8 @@ use crate::{
 
 /// How often a service is sent that must be answered.
 const ATTEMPTS: u8 = 3;
-/// The greatest doubt in silence.
-const GREATEST_DOUBT: u8 = 3;
+/// The greatest caution with silence.
+const GREATEST_CAUTION: u8 = 3;
 
 /// How long the master waits, in microseconds from the moment at which it hands out a request, each less than half a
 /// turn of [`Instant`] (35 minutes). The times include those of the frames on the bus and of the adapter.
@@ -81,7 +81,7 @@ impl Master {
 
     /// Begins a procedure. A session that is dropped before its end may leave slaves in LSS configuration state.
     pub const fn start<P: Procedure>(&mut self, procedure: P) -> Session<'_, P> {
-        Session { master: self, procedure, state: State::Begin, doubt: 0, singles: 0 }
+        Session { master: self, procedure, state: State::Begin, caution: 0, singles: 0 }
     }
 
     /// The longest time that a slave has taken to answer a single request at this bit rate, in microseconds. Frames and
@@ -133,9 +133,9 @@ impl Master {
     }
 
     /// The time-out of a probe.
-    fn probe_time_out(&mut self, service: &Service, doubt: u8) -> u32 {
+    fn probe_time_out(&mut self, service: &Service, caution: u8) -> u32 {
         // A slow slave may have been silent for so long that it is forgotten.
-        let known = self.seen(service).filter(|_| doubt < GREATEST_DOUBT);
+        let known = self.seen(service).filter(|_| caution < GREATEST_CAUTION);
         let Some(Seen { slowest, fastest, count, .. }) = known else {
             return self.timing.answer;
         };
@@ -143,12 +143,12 @@ impl Master {
         let exchange = slowest.saturating_add(slowest / 16);
         let wide =
             |exponent: u8| self.timing.margin.saturating_mul(4_u32.saturating_pow(exponent.into()));
-        let margin = match (doubt, count) {
+        let margin = match (caution, count) {
             (0, ENOUGH) => {
                 (slowest.saturating_sub(fastest) / 2).max(LEAST_MARGIN).min(self.timing.margin)
             }
-            (doubt, ENOUGH) => wide(doubt.saturating_sub(1)),
-            (doubt, _) => wide(doubt),
+            (caution, ENOUGH) => wide(caution.saturating_sub(1)),
+            (caution, _) => wide(caution),
         };
         exchange.saturating_add(margin).min(self.timing.answer)
     }
@@ -164,7 +164,7 @@ pub struct Session<'a, P: Procedure> {
     procedure: P,
     state: State,
     /// How little the silence of a probe is trusted.
-    doubt: u8,
+    caution: u8,
     /// How often in a row a single answer came in a Fastscan when all were waited for.
     singles: u8,
 }
@@ -196,7 +196,7 @@ impl<P: Procedure> Session<'_, P> {
         loop {
             let step = match &mut self.state {
                 State::Begin => {
-                    self.doubt = 0;
+                    self.caution = 0;
                     self.singles = 0;
                     self.procedure.begin()
                 }
@@ -221,7 +221,7 @@ impl<P: Procedure> Session<'_, P> {
             self.state = match step {
                 Step::Ask(service) => State::Exchange(self.exchange(service, None, now)),
                 Step::Probe(service) => {
-                    State::Exchange(self.exchange(service, Some(self.doubt), now))
+                    State::Exchange(self.exchange(service, Some(self.caution), now))
                 }
                 Step::Pause(micros) => State::Pause(now.plus_micros(micros)),
                 Step::SetBitRate(rate) => {
@@ -231,7 +231,7 @@ impl<P: Procedure> Session<'_, P> {
                 }
                 Step::SlowDown => {
                     self.singles = 0;
-                    self.doubt = GREATEST_DOUBT.min(self.doubt.saturating_add(1));
+                    self.caution = GREATEST_CAUTION.min(self.caution.saturating_add(1));
                     State::Pause(now)
                 }
                 Step::Done(result) => {
@@ -242,14 +242,14 @@ impl<P: Procedure> Session<'_, P> {
         }
     }
 
-    fn exchange(&mut self, service: Service, doubt: Option<u8>, now: Instant) -> Exchange {
+    fn exchange(&mut self, service: Service, caution: Option<u8>, now: Instant) -> Exchange {
         // The answers to the first question of all show how different the slaves are.
-        let is_in_doubt =
-            self.master.slowest(&service).is_none() || self.master.is_staggered || self.doubt > 0;
+        let is_cautious =
+            self.master.slowest(&service).is_none() || self.master.is_staggered || self.caution > 0;
         // Slaves that answer at the same moment seem to be one.
         let is_single = self.singles >= SINGLES;
-        let awaits_all = is_in_doubt && !is_single && may_many_answer(&service);
-        Exchange::new(service, doubt, awaits_all, self.master, now)
+        let awaits_all = is_cautious && !is_single && may_many_answer(&service);
+        Exchange::new(service, caution, awaits_all, self.master, now)
     }
 
     /// Takes a received frame, also one that is no LSS answer.
@@ -268,7 +268,7 @@ impl<P: Procedure> Session<'_, P> {
 struct Exchange {
     service: Service,
     /// For a probe, how little its silence is trusted.
-    doubt: Option<u8>,
+    caution: Option<u8>,
     /// Whether the answers of several slaves are waited for, until the time-out.
     awaits_all: bool,
     /// How often the service may still be repeated.
@@ -295,7 +295,7 @@ enum Progress {
 impl Exchange {
     fn new(
         service: Service,
-        doubt: Option<u8>,
+        caution: Option<u8>,
         awaits_all: bool,
         master: &mut Master,
         now: Instant,
@@ -303,13 +303,13 @@ impl Exchange {
         // Another slave in LSS configuration state would take each request that follows.
         let is_who = service.last() == WHO;
         Self {
-            doubt,
+            caution,
             awaits_all: awaits_all || is_who,
-            repetitions: match doubt {
+            repetitions: match caution {
                 None => ATTEMPTS - 1,
                 // Nobody has answered yet, perhaps because the frames came back to back.
                 Some(0) if service.len() > 1 && master.slowest(&service).is_none() => 1,
-                Some(doubt) => doubt,
+                Some(caution) => caution,
             },
             gap: master.timing.gap,
             sent: 0,
@@ -339,7 +339,7 @@ impl Exchange {
             return Progress::Over(answer.map(Some));
         }
         if self.repetitions == 0 {
-            return Progress::Over(match self.doubt {
+            return Progress::Over(match self.caution {
                 Some(_) => Ok(None),
                 None => Err(Error::NoAnswer(self.service.last())),
             });
@@ -370,8 +370,8 @@ impl Exchange {
             }
             return request.to_frame();
         }
-        let wait = match (self.doubt, request) {
-            (Some(doubt), _) => master.probe_time_out(&self.service, doubt),
+        let wait = match (self.caution, request) {
+            (Some(caution), _) => master.probe_time_out(&self.service, caution),
             (None, Request::StoreConfiguration) => master.timing.store,
             // Only a lost frame is asked for again.
             (None, Request::Fastscan(_)) if self.repetitions < ATTEMPTS - 1 => {
@@ -394,7 +394,7 @@ impl Exchange {
             master.learn(&self.service, now.micros_after(self.since));
         }
         let is_known = master.knows(&self.service) || request == WHO;
-        if self.doubt.is_none() && self.awaits_all && is_known {
+        if self.caution.is_none() && self.awaits_all && is_known {
             // Somebody answers: the others are not much slower.
             let wait = master.probe_time_out(&self.service, 0);
             self.until =

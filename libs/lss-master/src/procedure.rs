@@ -34,7 +34,7 @@ pub enum Step<T> {
     Pause(u32),
     /// The bit rate that the master's own CAN controller takes.
     SetBitRate(BitRate),
-    /// From here on each probe waits longer and doubts silence, since the answers contradict each other.
+    /// From here on each probe waits longer and trusts silence less, since the answers contradict each other.
     SlowDown,
     /// The end.
     Done(Result<T, Error>),

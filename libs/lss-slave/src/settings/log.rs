@@ -140,7 +140,7 @@ pub struct Log<F, const STORED_LEN: usize = 0> {
     /// The newest record has no other parameters.
     has_taken_all: bool,
     /// The sequence number of the last record, if the next open may find it in another state than the last look did.
-    doubtful: Option<u32>,
+    uncertain: Option<u32>,
     /// The bank with the newest record counts at every open: one in it is certain, and later than all in the other.
     counts: bool,
     /// The blank space in the bank with the newest record.
@@ -218,7 +218,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             taken: [0; STORED_LEN],
             taken_len: 0,
             has_taken_all: false,
-            doubtful: None,
+            uncertain: None,
             counts: false,
             space: Space::NONE,
             other: Space::NONE,
@@ -280,7 +280,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// The record could not be written and read back, or the flash is full until the next `open`. The previous settings
     /// are still persistent.
     pub fn store(&mut self, settings: Settings) -> Result<(), Error> {
-        if self.settings() == Some(settings) && self.doubtful.is_none() {
+        if self.settings() == Some(settings) && self.uncertain.is_none() {
             return Ok(());
         }
         self.put_or_restore(settings, None)
@@ -316,9 +316,9 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
 
     /// Makes `settings` persistent, or else leaves the old ones so.
     fn put_or_restore(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
-        let before = self.doubtful;
+        let before = self.uncertain;
         let outcome = self.put(Some(settings), new);
-        let Some(doubtful) = self.doubtful.filter(|it| before != Some(*it)) else {
+        let Some(uncertain) = self.uncertain.filter(|it| before != Some(*it)) else {
             return outcome;
         };
         if self.space.len::<F>() == 0 {
@@ -327,10 +327,10 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if self.put(self.settings(), None).is_err()
             // The flash has failed. What the next open will find is found now.
             && let Some(found) = self.search().0.counts()
-            && found.record.sequence == doubtful
+            && found.record.sequence == uncertain
         {
             self.newest = found;
-            self.doubtful = None;
+            self.uncertain = None;
             return Ok(());
         }
         outcome
@@ -345,8 +345,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         }
         mem::swap(&mut self.space, &mut self.other);
         let outcome = self.append(settings, new, other_is);
-        if outcome.is_ok() || self.doubtful.is_some() {
-            // Where a record is doubtful, those that are later must follow.
+        if outcome.is_ok() || self.uncertain.is_some() {
+            // Where a record is uncertain, those that are later must follow.
             self.other = Space::NONE;
         } else {
             mem::swap(&mut self.space, &mut self.other);
@@ -390,7 +390,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let record = Record { sequence, settings, parameters, other_is };
         let bytes = record.to_bytes();
         // A unit that the flash could not write may read as written later.
-        self.doubtful = Some(sequence);
+        self.uncertain = Some(sequence);
         place::write(&mut self.flash, at, &bytes)?;
         let is_certain = place::commit(&mut self.flash, at, &bytes);
         // Within a bank that counts, the last valid record does.
@@ -399,7 +399,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         }
         self.newest = Newest { record, at, bank: self.space.bank };
         self.counts = true;
-        self.doubtful = None;
+        self.uncertain = None;
         Ok(is_certain == Some(true))
     }
 

@@ -73,7 +73,7 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
             return self.format(&bank, &other);
         };
         self.newest = newest;
-        self.doubtful = Some(newest.record.sequence);
+        self.uncertain = Some(newest.record.sequence);
         // Before a record says that the other bank is not used, two are certain.
         self.counts = newest.record.other_is != OtherBank::Used && !is_other_later;
         self.space = bank.space(sequence);
@@ -88,7 +88,7 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if is_erased && (is_certain || has_room) {
             self.other = other.space(self.sequence_after(&bank));
             if is_certain {
-                self.doubtful = None;
+                self.uncertain = None;
             } else {
                 self.append_copy(OtherBank::Erased)?;
             }
