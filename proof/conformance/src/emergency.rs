@@ -40,7 +40,7 @@ fn error_register(bench: &mut Bench) -> Step {
     bench.check(register == 0, "1001h is 0")
 }
 
-fn no_history(bench: &mut Bench) -> Step {
+pub fn no_history(bench: &mut Bench) -> Step {
     bench.needs((0x1003, 0))?;
     let count = bench.number((0x1003, 0))?;
     bench.check(count == 0, "1003h sub 0 is 0")?;
@@ -62,7 +62,7 @@ pub fn code(frame: &Frame) -> u16 {
 
 /// Sends the first RPDO without data to the operational device, which stays so: another state may end the error.
 /// Returns the emergency messages.
-fn force(bench: &mut Bench) -> Step<Vec<Frame>> {
+pub fn force(bench: &mut Bench) -> Step<Vec<Frame>> {
     let (pdo, cob_id) = pdo::valid(bench, &[Direction::Receive])?[0];
     pdo.set_transmission(bench, 254, 0)?;
     bench.nmt(Command::Start)?;

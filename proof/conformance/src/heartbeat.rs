@@ -19,8 +19,10 @@ const CASES: &[Case] = &[
     Case::new("1016h refuses a producer that another sub-index has", same_producer_twice),
     Case::new("No emergency while the heartbeats of a producer come in time", in_time),
     Case::new("An emergency when the heartbeats of a producer come too late", too_late),
-    Case::new("A missing heartbeat ends NMT state operational, and is signalled", missing)
-        .with_remark("1029h sub 1 is 0, its default: the device enters NMT state pre-operational."),
+    Case::new("A missing heartbeat ends NMT state operational, and is signalled", |bench| {
+        lost(bench, 127)
+    })
+    .with_remark("1029h sub 1 is 0, its default: the device enters NMT state pre-operational."),
 ];
 
 /// The heartbeats of our producer, and the consumer's time, both in ms.
@@ -28,6 +30,10 @@ const BEAT: Duration = ms(500);
 const CONSUMER_MS: u32 = 1_000;
 /// The error code of a missing heartbeat.
 const LIFE_ERROR: u16 = 0x8130;
+
+/// NMT states, as in a heartbeat.
+pub const STOPPED: u8 = 4;
+pub const OPERATIONAL: u8 = 5;
 
 /// Writes 1017h.
 pub fn set_producer(bench: &mut Bench, interval_ms: u16) -> Step {
@@ -134,7 +140,9 @@ fn too_late(bench: &mut Bench) -> Step {
     Ok(())
 }
 
-fn missing(bench: &mut Bench) -> Step {
+/// Lets the heartbeats of each producer end in NMT state operational: the error leads to this state, and is
+/// signalled.
+pub fn lost(bench: &mut Bench, state: u8) -> Step {
     bench.needs((0x1017, 0))?;
     for sub_index in consumers(bench)? {
         let node = producer_of(bench, sub_index);
@@ -142,12 +150,14 @@ fn missing(bench: &mut Bench) -> Step {
         bench.write((0x1016, sub_index), &consumer(node, CONSUMER_MS))?;
         bench.nmt(Command::Start)?;
         beat(bench, node, BEAT, 5)?;
-        check_state(bench, 5)?;
+        check_state(bench, OPERATIONAL)?;
         let messages = emergency::messages(bench, ms(2_000))?;
-        bench.check(messages.iter().any(is_life_error), "an emergency message 8130h")?;
-        check_state(bench, 127)?;
-        bench.write((0x1016, sub_index), &[0; 4])?;
+        // In NMT state stopped there are none.
+        let is_signalled = state == STOPPED || messages.iter().any(is_life_error);
+        bench.check(is_signalled, "an emergency message 8130h")?;
+        check_state(bench, state)?;
         bench.nmt(Command::EnterPreOperational)?;
+        bench.write((0x1016, sub_index), &[0; 4])?;
     }
     Ok(())
 }

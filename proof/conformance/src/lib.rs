@@ -2,7 +2,7 @@
 //!
 //! A [`Case`] is one function with a purpose. Cases form a [`Group`], a file each; [`APPLICATION_LAYER`] lists the
 //! groups of CiA 301. Their numbers and purposes are those of the certifier's tool, so that reports can be compared;
-//! frames, expectations and words are our own. A case takes a [`Bench`], which speaks with the device and keeps the
+//! frames, expectations and words are our own. [`OWN`] has cases that the tool lacks. A case takes a [`Bench`], which speaks with the device and keeps the
 //! frames, and ends in one of three ways:
 //!
 //! - It returns `Ok(())`: passed.
@@ -45,6 +45,7 @@ mod heartbeat;
 mod line;
 pub mod lss;
 mod other;
+mod own;
 mod pdo;
 mod report;
 mod sdo;
@@ -55,6 +56,7 @@ pub use can_bus::eds;
 
 pub use bench::{Address, Bench, Command, Seen, Stop, ms};
 pub use line::{Broken, Line};
+pub use own::OWN;
 pub use report::{Finding, Outcome, Report, html, junit};
 
 /// What a step of a case gives, or the reason why the case ends here.
@@ -115,8 +117,21 @@ pub const APPLICATION_LAYER: &[Group] = &[
     states::TRANSITIONS,
 ];
 
-/// So many cases without a device that can be prepared for them end a run.
-const UNPREPARED: usize = 3;
+/// The beginning of what was expected by a case that failed before it began.
+pub const UNPREPARED: &str = "before the case: ";
+/// So many of them end a run.
+const MOST_UNPREPARED: usize = 3;
+
+/// Whether the number of a case begins with one of `wanted`, or that is empty.
+fn is_wanted(number: &str, wanted: &[String]) -> bool {
+    wanted.is_empty() || wanted.iter().any(|start| number.starts_with(start))
+}
+
+/// Whether the number of a case in `groups` begins with one of `wanted`, or that is empty.
+pub fn has_case(groups: &[Group], wanted: &[String]) -> bool {
+    let is_wanted = |group: &Group, place| is_wanted(&group.number(place), wanted);
+    groups.iter().any(|group| (0..group.cases.len()).any(|place| is_wanted(group, place)))
+}
 
 /// Runs the cases of `groups` whose number begins with one of `wanted`, or all if it is empty, and adds them to the
 /// report. `show` gets each finding when its case ends.
@@ -134,13 +149,22 @@ pub fn run(
     for group in groups {
         for (place, case) in group.cases.iter().enumerate() {
             let number = group.number(place);
-            if !wanted.is_empty() && !wanted.iter().any(|start| number.starts_with(start)) {
+            if !is_wanted(&number, wanted) {
                 continue;
             }
             bench.begin();
             let from = bench.now();
             let prepared = (group.prepare)(bench);
-            unprepared = if matches!(prepared, Err(Stop::Failed(_))) { unprepared + 1 } else { 0 };
+            let prepared = match prepared {
+                Err(Stop::Failed(expected)) => {
+                    unprepared += 1;
+                    Err(Stop::Failed(format!("{UNPREPARED}{expected}")))
+                }
+                prepared => {
+                    unprepared = 0;
+                    prepared
+                }
+            };
             let outcome = match prepared.and_then(|()| (case.run)(bench)) {
                 Ok(()) => Outcome::Passed,
                 Err(Stop::Failed(expected)) => Outcome::Failed(expected),
@@ -152,7 +176,7 @@ pub fn run(
             let finding = Finding { number, group: group.name, case: *case, outcome, frames, took };
             show(&finding);
             report.findings.push(finding);
-            if unprepared == UNPREPARED {
+            if unprepared == MOST_UNPREPARED {
                 return Err(Broken("the device cannot be prepared: is it there?".into()));
             }
         }

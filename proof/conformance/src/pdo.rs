@@ -124,13 +124,21 @@ impl Pdo {
         (self.communication, 1)
     }
 
+    pub const fn inhibit_time(self) -> Address {
+        (self.communication, 3)
+    }
+
+    pub const fn event_timer(self) -> Address {
+        (self.communication, 5)
+    }
+
     /// Writes a COB-ID with its flags.
-    fn set_cob_id(self, bench: &mut Bench, cob_id: u32) -> Step {
+    pub fn set_cob_id(self, bench: &mut Bench, cob_id: u32) -> Step {
         bench.write(self.cob_id(), &cob_id.to_le_bytes())
     }
 
     /// Makes the PDO invalid; returns its COB-ID before.
-    fn close(self, bench: &mut Bench) -> Step<u32> {
+    pub fn close(self, bench: &mut Bench) -> Step<u32> {
         let cob_id = bench.number(self.cob_id())? as u32;
         self.set_cob_id(bench, cob_id | INVALID)?;
         Ok(cob_id)

@@ -44,10 +44,10 @@ const CASES: &[Case] = &[
         block_download(bench, HEARTBEAT, false)
     }),
     Case::new("A value of several segments is read by a block upload without CRC", |bench| {
-        block_upload_of_text(bench, false)
+        block_upload_of_text(bench, false, false)
     }),
     Case::new("A value of several segments is read by a block upload with CRC", |bench| {
-        block_upload_of_text(bench, true)
+        block_upload_of_text(bench, true, false)
     }),
     Case::new("100Ch takes a block download with CRC", |bench| {
         block_download(bench, GUARD_TIME, true)
@@ -86,7 +86,7 @@ fn device_type_in_any_way(bench: &mut Bench) -> Step {
 }
 
 /// The first value that satisfies `is_it`, or a skip that says what is missing.
-fn find(bench: &Bench, missing: &str, is_it: impl Fn(&Entry) -> bool) -> Step<Entry> {
+pub fn find(bench: &Bench, missing: &str, is_it: impl Fn(&Entry) -> bool) -> Step<Entry> {
     match bench.eds.entries().find(|entry| is_it(entry)) {
         Some(entry) => Ok(entry.clone()),
         None => bench.skip(format!("the EDS has no {missing}")),
@@ -241,8 +241,14 @@ fn text_in_segments(bench: &mut Bench) -> Step {
     }
 }
 
-/// Reads a value by a block upload, with a check of its CRC if that is wanted.
-fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<u8>> {
+/// Reads a value by a block upload, with a check of its CRC if that is wanted. With `repeats` the first block is
+/// confirmed up to its first segment only.
+fn block_upload(
+    bench: &mut Bench,
+    address: Address,
+    has_crc: bool,
+    mut repeats: bool,
+) -> Step<Vec<u8>> {
     let begin = initiate(if has_crc { 0xA4 } else { 0xA0 }, address, BLOCK_SIZE.into());
     let answer = bench.ask(begin)?;
     if abort_code(&answer) == Some(UNKNOWN_COMMAND) {
@@ -254,7 +260,7 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
     let mut data = Vec::new();
     bench.say(segment(0xA3, &[]))?;
     loop {
-        let mut count = 0;
+        let (mut count, confirmed_before) = (0, data.len());
         let is_last = loop {
             let segment = bench.answer()?;
             count += 1;
@@ -265,8 +271,13 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
                 break is_last;
             }
         };
+        let is_repeated = std::mem::take(&mut repeats) && count > 1;
+        if is_repeated {
+            count = 1;
+            data.truncate(confirmed_before + 7);
+        }
         bench.say(segment(0xA2, &[count, BLOCK_SIZE]))?;
-        if is_last {
+        if is_last && !is_repeated {
             break;
         }
     }
@@ -287,14 +298,14 @@ fn block_upload(bench: &mut Bench, address: Address, has_crc: bool) -> Step<Vec<
 }
 
 fn block_upload_of_device_type(bench: &mut Bench) -> Step {
-    let data = block_upload(bench, DEVICE_TYPE, false)?;
+    let data = block_upload(bench, DEVICE_TYPE, false, false)?;
     let same = bench.read(DEVICE_TYPE)?;
     bench.check(data == same, "the bytes of an expedited upload")
 }
 
-fn block_upload_of_text(bench: &mut Bench, has_crc: bool) -> Step {
+pub fn block_upload_of_text(bench: &mut Bench, has_crc: bool, repeats: bool) -> Step {
     let Entry { address, .. } = long_value(bench)?;
-    let data = block_upload(bench, address, has_crc)?;
+    let data = block_upload(bench, address, has_crc, repeats)?;
     let same = bench.read(address)?;
     bench.check(data == same, "the bytes of an upload in segments")
 }

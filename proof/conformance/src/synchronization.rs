@@ -44,7 +44,7 @@ fn set_period(bench: &mut Bench, us: u32) -> Step {
 }
 
 /// Sets the period 0, if there is one: then the counter overflow value can be changed.
-fn end_period(bench: &mut Bench) -> Step {
+pub fn end_period(bench: &mut Bench) -> Step {
     if bench.eds.get((0x1006, 0)).is_some() { set_period(bench, 0) } else { Ok(()) }
 }
 

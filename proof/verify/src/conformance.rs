@@ -7,7 +7,7 @@ use std::{
 };
 
 use ::conformance::{
-    APPLICATION_LAYER, Bench, Broken, Line, Report,
+    APPLICATION_LAYER, Bench, Broken, Group, Line, OWN, Report,
     eds::Eds,
     lss::{Feature, LSS, Target},
 };
@@ -50,8 +50,9 @@ const QUICK: [&str; 10] = [
 /// Run the cases of a conformance test of CANopen against release images
 ///
 /// The cases have the numbers and purposes of CiA's Conformance Test Tool, and are driven by the data sheet of the
-/// image as the tool's are: docs/conformance-cases.md. They run on the emulated bus in virtual time; `cargo hil
-/// --conformance` runs the same cases on a real adapter. `--chapter lss` runs those of LSS, on up to five boards.
+/// image as the tool's are: docs/conformance.md. Beside them are cases of our own, and those of LSS, which run on up to
+/// five boards. They run on the emulated bus in virtual time; `cargo hil --conformance` runs the same cases on a real
+/// adapter.
 ///
 /// Without options they run for the default image and for the example io. It ends with 0 if no case failed, with 1
 /// otherwise.
@@ -82,9 +83,9 @@ pub struct Arguments {
     /// Leave out the services that no chip can change: PDO, SYNC, guarding, and long waits for heartbeats
     #[arg(long)]
     quick: bool,
-    /// The cases of the certifier's tool, or those of LSS
-    #[arg(long, value_enum, default_value = "cia301")]
-    chapter: Chapter,
+    /// Run only these cases; can be repeated
+    #[arg(long, value_enum)]
+    chapter: Vec<Chapter>,
     /// What the device lacks, for the LSS chapter; can be repeated or separated by commas
     #[arg(long, value_name = "FEATURE", value_delimiter = ',')]
     without: Vec<Feature>,
@@ -110,8 +111,30 @@ pub struct Arguments {
 enum Chapter {
     /// The application layer, numbered as in the certifier's tool
     Cia301,
+    /// Rules of the application layer that no case of that tool looks at
+    Own,
     /// LSS, which that tool does not test
     Lss,
+}
+
+impl Chapter {
+    const ALL: [Self; 3] = [Self::Cia301, Self::Own, Self::Lss];
+
+    const fn groups(self) -> &'static [Group] {
+        match self {
+            Self::Cia301 => APPLICATION_LAYER,
+            Self::Own => OWN,
+            Self::Lss => LSS,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Cia301 => "the certifier's cases",
+            Self::Own => "our own cases",
+            Self::Lss => "LSS",
+        }
+    }
 }
 
 /// An image of this repository.
@@ -156,12 +179,19 @@ struct Product {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let mut reports = Vec::new();
+    let wanted = wanted(arguments);
+    let is_wanted = |chapter: &Chapter| {
+        let is_named = arguments.chapter.is_empty() || arguments.chapter.contains(chapter);
+        is_named && ::conformance::has_case(chapter.groups(), &wanted)
+    };
     for product in products(arguments)? {
-        println!("{}", product.name);
-        let report = test(&product, arguments)?;
-        println!();
-        reports.push(report);
+        for chapter in Chapter::ALL.into_iter().filter(is_wanted) {
+            let report = test(&product, chapter, &wanted, arguments)?;
+            println!();
+            reports.push(report);
+        }
     }
+    ensure!(!reports.is_empty(), "no case begins with {}", wanted.join(" or "));
     for report in &reports {
         println!("{}", report.summary());
     }
@@ -208,21 +238,27 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
     images.into_iter().map(product).collect()
 }
 
-fn test(product: &Product, arguments: &Arguments) -> anyhow::Result<Report> {
-    let (groups, boards) = match arguments.chapter {
-        Chapter::Cia301 => (APPLICATION_LAYER, 1),
-        Chapter::Lss => (LSS, arguments.boards.into()),
-    };
+/// The beginnings of the numbers of the wanted cases; empty: all.
+fn wanted(arguments: &Arguments) -> Vec<String> {
+    match &arguments.case[..] {
+        [] if arguments.quick || arguments.chips => QUICK.map(str::to_owned).to_vec(),
+        wanted => wanted.to_vec(),
+    }
+}
+
+fn test(
+    product: &Product,
+    chapter: Chapter,
+    wanted: &[String],
+    arguments: &Arguments,
+) -> anyhow::Result<Report> {
+    let boards = if chapter == Chapter::Lss { arguments.boards.into() } else { 1 };
     let mut bus = Bus::new(product, boards);
     let mut bench = Bench::new(&mut bus, &product.eds, NODE);
     bench.lss = Target::new(addresses(product, boards), BIT_RATE, arguments.without.clone());
-    let mut report = Report::new(&product.name);
-    let is_quick = arguments.quick || arguments.chips;
-    let wanted = match &arguments.case[..] {
-        [] if is_quick => QUICK.map(str::to_owned).to_vec(),
-        wanted => wanted.to_vec(),
-    };
-    ::conformance::run(&mut bench, groups, &wanted, &mut report, |finding| {
+    let mut report = Report::new(format!("{}, {}", product.name, chapter.name()));
+    println!("{}", report.device);
+    ::conformance::run(&mut bench, chapter.groups(), wanted, &mut report, |finding| {
         println!("{}", finding.line());
         if arguments.frames {
             println!("{}", finding.frames().join("\n"));

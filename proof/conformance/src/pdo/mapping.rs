@@ -27,10 +27,15 @@ impl Pdo {
     }
 
     /// The mapping of the PDO: its entries that count.
-    fn entries(self, bench: &mut Bench) -> Step<Vec<u32>> {
+    pub fn entries(self, bench: &mut Bench) -> Step<Vec<u32>> {
         let count = bench.number((self.mapping, 0))?;
         bench.check(count <= MOST_ENTRIES.into(), format!("at most {MOST_ENTRIES} entries"))?;
         (1..=count as u8).map(|entry| Ok(bench.number((self.mapping, entry))? as u32)).collect()
+    }
+
+    /// The number of bytes that the mapping has.
+    pub fn len(self, bench: &mut Bench) -> Step<usize> {
+        Ok(self.entries(bench)?.iter().map(bits).sum::<u32>().div_ceil(8) as usize)
     }
 
     /// Writes entries, which must be taken, but not their number.
