@@ -193,6 +193,19 @@ impl SlaveBus {
         }
     }
 
+    /// Puts the tool's adapter on the bus at a bit rate, and drops its waiting frames.
+    pub fn open(&mut self, rate: BitRate, may_send: bool) {
+        self.waiting.retain(|_, (source, _)| *source != Source::Tool);
+        self.received.clear();
+        (self.rate, self.may_send, self.is_open) = (rate, may_send, true);
+    }
+
+    /// The tool sends a frame.
+    pub fn send(&mut self, frame: Frame) {
+        self.requests += 1;
+        self.enqueue(self.now + self.latency_us, Source::Tool, frame);
+    }
+
     /// Another master sends a frame at a time.
     pub fn send_from_another_master(&mut self, at: u64, frame: Frame) {
         self.enqueue(at, Source::OtherMaster, frame);

@@ -12,8 +12,6 @@ mod node_id;
 mod several;
 mod states;
 mod store;
-#[cfg(test)]
-mod tests;
 
 use std::{str::FromStr, time::Duration};
 

@@ -37,12 +37,7 @@ impl BusAdapter {
 
 impl Adapter for BusAdapter {
     fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
-        let mut bus = self.bus();
-        bus.waiting.retain(|_, (source, _)| *source != Source::Tool);
-        bus.received.clear();
-        bus.rate = rate;
-        bus.may_send = mode == Mode::Normal;
-        bus.is_open = true;
+        self.bus().open(rate, mode == Mode::Normal);
         Ok(())
     }
 
@@ -58,10 +53,7 @@ impl Adapter for BusAdapter {
     }
 
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
-        let mut bus = self.bus();
-        let at = bus.now + bus.latency_us;
-        bus.requests += 1;
-        bus.enqueue(at, Source::Tool, *frame);
+        self.bus().send(*frame);
         Ok(())
     }
 
