@@ -73,7 +73,9 @@ pub trait System {
     fn begin_store(&mut self) {}
 }
 
-/// The time without any event that tells of a debugger that had halted the core: the indicators have 20 steps a second.
+/// The length of a step of the indicators.
+const STEP_MICROS: u32 = indicator::STEP_MS * 1000;
+/// The time since the start of a step that tells of a debugger that had halted the core.
 const HALT_MICROS: u32 = 500_000;
 
 /// The node with its controller and the rest of its board.
@@ -96,8 +98,6 @@ pub struct Runner<
     indicators: Indicators,
     /// The start of the indicators' next step.
     step_at: Instant,
-    /// The end of the latest event.
-    ended_at: Instant,
     /// The indicators' steps since the last [`supervise`](Self::supervise), for [`run_step`](Self::run_step).
     steps: u8,
     /// A store that has not begun.
@@ -131,7 +131,6 @@ impl<
             bus_state: BusState::Good,
             indicators: Indicators::default(),
             step_at,
-            ended_at: step_at,
             steps: 0,
             store: None,
         }
@@ -175,13 +174,12 @@ impl<
 
     /// Handles received frames.
     pub fn handle_received(&mut self) {
-        self.note_event();
+        let mut now = self.event_time();
         while let Some(received) = self.bus.can.receive() {
             self.bus.has_heard = true;
             self.bus.sampler.note_frame();
             match received {
                 Received::Frame(frame) => {
-                    let now = self.system.now();
                     // Deadlines before the frame come first; but a frame found by a look counts at the rate where it
                     // was found.
                     if self.node.is_due(now) && !self.bus.is_listening() {
@@ -191,40 +189,41 @@ impl<
                         self.act(action);
                     }
                 }
-                Received::Other => self.node.handle_bus(BusEvent::Received, self.system.now()),
+                Received::Other => self.node.handle_bus(BusEvent::Received, now),
                 Received::Overrun => {
                     log!(warn, "CAN: overrun, a received frame was lost");
-                    self.node.handle_bus(BusEvent::Overrun, self.system.now());
+                    self.node.handle_bus(BusEvent::Overrun, now);
                 }
             }
             self.act_until_nothing_is_due();
+            now = self.system.now();
         }
         self.finish();
     }
 
     /// Handles frames that were sent or dropped.
     pub fn handle_transmitted(&mut self) {
-        self.note_event();
+        let now = self.event_time();
         let is_sent = self.bus.can.take_sent();
         // The others are less urgent, and wait until it is sent.
         self.queue.pop_if(|frame| self.bus.can.send(frame));
         if is_sent {
-            self.node.handle_bus(BusEvent::Acknowledged, self.system.now());
+            self.node.handle_bus(BusEvent::Acknowledged, now);
         }
         self.finish();
     }
 
     /// Handles an error on the bus, or a change of the controller's error state.
     pub fn handle_status(&mut self) {
-        self.note_event();
+        let now = self.event_time();
         let (transmit, receive) = self.bus.can.error_counters();
         let counters = BusEvent::ErrorCounters { transmit, receive };
-        self.node.handle_bus(counters, self.system.now());
+        self.node.handle_bus(counters, now);
         if let Some(error) = self.bus.can.take_error() {
-            self.bus.sample(self.system.now());
+            self.bus.sample(now);
             if let Some(event) = error.event() {
                 self.bus.has_heard = true;
-                self.node.handle_bus(event, self.system.now());
+                self.node.handle_bus(event, now);
             }
         }
         if !self.bus.is_listening() {
@@ -275,9 +274,8 @@ impl<
 
     /// Does what is due now; returns the indicators to light, at the start of each of their steps.
     pub fn handle_alarm(&mut self) -> Option<Lit> {
-        self.note_event();
+        let now = self.event_time();
         self.act_until_nothing_is_due();
-        let now = self.system.now();
         if self.bus.sampler.is_due(now) {
             self.bus.can.report_errors();
             let sample = self.bus.can.sample();
@@ -289,7 +287,7 @@ impl<
         }
         let is_step = self.step_at.has_come(now);
         if is_step {
-            self.step_at = self.step_at.plus_micros(indicator::STEP_MS * 1000);
+            self.step_at = self.step_at.plus_micros(STEP_MICROS);
             if self.bus.can.sample().is_some_and(|sample| self.bus.sampler.look(sample)) {
                 self.bus.sample(self.system.now());
             }
@@ -298,21 +296,25 @@ impl<
         is_step.then(|| self.indicate())
     }
 
+    /// The time of an event. The first one after a halt of the core has it forgotten.
     #[inline(always)] // It is called for each event.
-    fn note_event(&mut self) {
+    fn event_time(&mut self) -> Instant {
         let now = self.system.now();
-        if now.as_micros().wrapping_sub(self.ended_at.as_micros()) >= HALT_MICROS {
+        let since_step = now.as_micros().wrapping_sub(self.step_at.as_micros());
+        if since_step.wrapping_add(STEP_MICROS) >= HALT_MICROS {
             self.forget_halt(now);
         }
+        now
     }
 
     /// After a halt of the core by a debugger, drops what was to be sent before it and what was received meanwhile: the
     /// others no longer wait for it.
+    #[cold]
     fn forget_halt(&mut self, now: Instant) {
         log!(warn, "the core was halted: what came meanwhile is ignored");
-        (self.step_at, self.ended_at) = (now, now);
-        while self.bus.can.receive().is_some() {}
-        self.drop_frames(|_, _| true);
+        self.step_at = now;
+        self.queue.clear();
+        self.restart();
         self.node.note_halt();
     }
 
@@ -349,7 +351,6 @@ impl<
         }
         self.act_until_nothing_is_due();
         self.system.set_alarm(self.alarm_at());
-        self.ended_at = self.system.now();
     }
 
     /// The time of the next [`handle_alarm`](Self::handle_alarm).
