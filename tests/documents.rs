@@ -143,36 +143,9 @@ fn every_command_of_the_project_that_a_document_names_exists() {
 }
 
 #[test]
-fn every_rule_of_the_conformance_names_tests_that_exist() {
-    let text = fs::read_to_string(workspace().join("docs/conformance.md")).expect("the rules");
-    let mut faults = Vec::new();
-    for row in text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| rule |")) {
-        let proofs = row.trim_end_matches(" |").rsplit("| ").next().unwrap_or_default();
-        for name in proofs.split("<br>").map(|name| name.trim_matches(['`', ' '])) {
-            if !is_test(name) {
-                faults.push(format!("{name}, in the row {row:.60}"));
-            }
-        }
-    }
-    assert_none(&faults);
-}
-
-/// Whether there is a test such as `library::eds::name`, or a file of tests such as `library::eds::*`.
-fn is_test(name: &str) -> bool {
-    let (module, function) = name.rsplit_once("::").unwrap_or_default();
-    let (folder, module) = match module.split_once("::") {
-        Some(("canopen_node", module)) => ("libs/canopen-node/src", module),
-        Some(("canopen_stm32f4", module)) => ("boards/stm32f4/src", module),
-        Some(("lss_master", module)) => ("libs/lss-master/tests", module),
-        Some(("lss_slave", module)) => ("libs/lss-slave/src", module),
-        Some(("example_io", module)) => ("examples/io/src", module),
-        Some(("example_thermo", module)) => ("examples/thermo/tests", module),
-        _ => ("tests", module),
-    };
-    let path = workspace().join(folder).join(module.replace("::", "/"));
-    let files = [path.with_extension("rs"), path.join("tests.rs")];
-    let texts: String = files.iter().filter_map(|path| fs::read_to_string(path).ok()).collect();
-    texts.contains(&format!("fn {function}() {{")) || function == "*" && !texts.is_empty()
+fn the_index_of_cases_and_tests_is_that_of_the_code() {
+    let (page, made) = conformance::index::pages(workspace()).expect("the sources");
+    assert!(page == made, "cargo verify conformance --index writes it");
 }
 
 #[test]
@@ -199,6 +172,5 @@ fn faults_of_a_document_are_detected() {
     let words = "See `src/main.rs`, docs/ and tests/*.rs, not 1/2, a/b or https://probe.rs/x.rs.";
     assert_eq!(paths(words).collect::<Vec<_>>(), ["src/main.rs", "docs/", "tests/*.rs"]);
     assert!(exists(workspace(), "tests/doc*.rs") && !exists(workspace(), "tests/doc*.md"));
-    assert!(is_test("library::lss_select::*") && !is_test("library::lss_select::none"));
     assert!(exists(workspace(), "src/") && !exists(workspace(), "src/none.rs"));
 }

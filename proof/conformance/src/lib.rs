@@ -42,6 +42,7 @@ mod dictionary;
 mod emergency;
 mod guarding;
 mod heartbeat;
+pub mod index;
 mod line;
 pub mod lss;
 mod other;

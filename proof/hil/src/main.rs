@@ -63,7 +63,7 @@ struct Arguments {
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
     ask: Ask,
     /// Run the cases of a conformance test of CANopen in place of the sessions, on any device with this data sheet:
-    /// docs/conformance-cases.md. Its stored parameters become the defaults. With `lss` in place of the data sheet: the
+    /// docs/conformance.md. Its stored parameters become the defaults. With `lss` in place of the data sheet: the
     /// cases of LSS, on any LSS slave
     #[arg(long, value_name = "EDS", conflicts_with_all = ["quick", "session"])]
     conformance: Option<Subject>,

@@ -1,0 +1,105 @@
+//! The index of cases and tests that ends `docs/conformance.md`, made of what stands in the code.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use crate::{APPLICATION_LAYER, Group, OWN, lss::LSS};
+
+/// The page, relative to the root of the repository.
+pub const PAGE: &str = "docs/conformance.md";
+/// What follows on the page is made.
+const BEGIN: &str = "<!-- `cargo verify conformance --index` writes what follows. -->\n";
+/// The folders with tests, each with a heading.
+const TESTS: [(&str, &str); 6] = [
+    ("tests/library", "Tests of the libraries, by frames in and frames out"),
+    ("tests/image", "Tests of the release images on emulated boards"),
+    ("libs/lss-master/tests", "Tests of the master"),
+    ("proof/conformance/tests/sabotage", "Tests of the cases"),
+    ("tests/model/tests", "Tests of a small network as a model"),
+    ("tests", "Further tests"),
+];
+
+/// The page as it is below this root, and as it must be.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn pages(root: &Path) -> io::Result<(String, String)> {
+    let page = fs::read_to_string(root.join(PAGE))?;
+    let prose = page.split_once(BEGIN).map_or(&page[..], |(prose, _)| prose);
+    let made = format!("{prose}{BEGIN}{}{}", cases(root)?, tests(root)?);
+    Ok((page, made))
+}
+
+/// The Rust files of a folder, in order, with their texts.
+fn sources(folder: &Path) -> io::Result<Vec<(PathBuf, String)>> {
+    let paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path()));
+    let mut paths = paths.collect::<io::Result<Vec<PathBuf>>>()?;
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "rs"));
+    paths.sort();
+    paths.into_iter().map(|path| Ok((path.clone(), fs::read_to_string(path)?))).collect()
+}
+
+/// The first sentence of a file, without its full stop.
+fn sentence(text: &str) -> String {
+    let lines = text.lines().map_while(|line| line.strip_prefix("//! "));
+    let paragraph = lines.collect::<Vec<_>>().join(" ");
+    let end = paragraph.find(". ").unwrap_or(paragraph.len());
+    paragraph[..end].trim_end_matches('.').to_owned()
+}
+
+fn cases(root: &Path) -> io::Result<String> {
+    let folder = root.join("proof/conformance/src");
+    let files = [sources(&folder)?, sources(&folder.join("lss"))?].concat();
+    let mut text = String::from("\n## Cases\n");
+    for (name, groups) in [
+        ("CiA 301, numbered as in the certifier's tool", APPLICATION_LAYER),
+        ("CiA 301, our own", OWN),
+        ("CiA 305", LSS),
+    ] {
+        text += &format!("\n| {name} | about | file |\n|---|---|---|\n");
+        for group in groups {
+            let named = format!("name: \"{}\"", group.name);
+            let file = files.iter().find(|(_, text)| text.contains(&named));
+            let (path, source) = file.ok_or(io::ErrorKind::NotFound)?;
+            let path = path.strip_prefix(root).unwrap_or(path).display();
+            text += &format!("| {} | {} | `{path}` |\n", range(group), about(source));
+        }
+    }
+    Ok(text)
+}
+
+/// The numbers of the cases, such as `SDO 01..30`.
+fn range(group: &Group) -> String {
+    match group.cases.len() {
+        1 => group.number(0),
+        count => format!("{}..{count:02}", group.number(0)),
+    }
+}
+
+/// The first sentence of a file with cases, without their numbers.
+fn about(source: &str) -> String {
+    let sentence = sentence(source);
+    match sentence.split_once(": ") {
+        Some((numbers, about)) if numbers.contains("..") || numbers.contains("EDS") => about.into(),
+        _ => sentence,
+    }
+}
+
+fn tests(root: &Path) -> io::Result<String> {
+    let mut text = String::from("\n## Tests\n");
+    for (folder, heading) in TESTS {
+        text += &format!("\n| in `{folder}/` | {heading} |\n|---|---|\n");
+        for (path, source) in sources(&root.join(folder))? {
+            if !source.contains("\n#[test]\n") {
+                continue;
+            }
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let sentence = sentence(&source);
+            let about = sentence.split_once(": ").map_or(&sentence[..], |(about, _)| about);
+            text += &format!("| `{name}` | {about} |\n");
+        }
+    }
+    Ok(text)
+}
