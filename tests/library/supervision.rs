@@ -170,7 +170,7 @@ fn the_next_stay_goes_on_where_the_last_one_ended() {
         (&[FormError], &[], 800),
         (&[FormError, Error], &[], 800),
         (&[], &[Error], 800),
-        (&[], &[FormError], 800),
+        (&[FormError], &[FormError], 800),
         (&[Error], &[Error, Error], 800),
     ] {
         let mut board = searching();
@@ -183,6 +183,16 @@ fn the_next_stay_goes_on_where_the_last_one_ended() {
         let expected = [format!("49.44 ms listen at {next} kbit/s")];
         assert_eq!(board.timeline(), expected, "{errors:?}, at home {at_home:?}");
     }
+}
+
+#[test]
+fn a_frame_without_acknowledge_at_home_does_not_prolong_the_search() {
+    let mut board = searching();
+    board.pass_ms(1_100);
+    board.see(FormError);
+    board.timeline();
+    board.pass_us(TURN_US);
+    assert_eq!(board.timeline()[0], "49.44 ms 125 kbit/s");
 }
 
 #[test]

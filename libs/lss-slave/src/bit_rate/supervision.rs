@@ -263,7 +263,10 @@ impl Supervision {
             // The acknowledge of a frame that was sent before the node began to listen decides nothing.
             BusEvent::Acknowledged if !self.is_listening() => self.handle_valid(now),
             BusEvent::Error => self.handle_error(true, now),
-            BusEvent::FormError => self.handle_error(false, now),
+            // In a turn at home it is a frame that nobody has acknowledged.
+            BusEvent::FormError if self.place != Place::ListenAtHome => {
+                self.handle_error(false, now);
+            }
             // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus.
             BusEvent::BusOff if !self.is_proven && self.place == Place::Home => {
                 self.pause(now);
