@@ -1,5 +1,8 @@
 //! Own 01..15: rules of CiA 301 that no case of the certifier's tool looks at.
 
+use std::time::Duration;
+
+use canopen_node::Frame;
 use testkit::sdo_messages::{crc, initiate, segment};
 
 use crate::{
@@ -43,7 +46,7 @@ const CASES: &[Case] = &[
 ];
 
 /// The wait for an effect of a frame.
-const EFFECT: std::time::Duration = ms(20);
+const EFFECT: Duration = ms(20);
 /// Bit 31 of 1014h: there are no emergency messages.
 const INVALID: u32 = 1 << 31;
 /// The error code of an RPDO that is late.
@@ -91,11 +94,7 @@ fn tpdo_inhibit_time(bench: &mut Bench) -> Step {
 }
 
 /// Checks that at least so many milliseconds are between two frames.
-fn check_gaps(
-    bench: &Bench,
-    frames: &[(std::time::Duration, canopen_node::Frame)],
-    least: u64,
-) -> Step {
+fn check_gaps(bench: &Bench, frames: &[(Duration, Frame)], least: u64) -> Step {
     let least_gap = ms(least).saturating_sub(bench.jitter());
     let is_kept = frames.windows(2).all(|pair| pair[1].0 - pair[0].0 >= least_gap);
     bench.check(is_kept, format!("{least} ms between two of them"))
@@ -289,11 +288,10 @@ fn heartbeat_restart(bench: &mut Bench) -> Step {
 /// Writes a value of eight bytes by a block download whose first segment is lost at first. The bits `wrong` of its CRC
 /// are wrong.
 fn repeated_download(bench: &mut Bench, wrong: u16) -> Step {
-    let has_eight_bytes = |length: Option<usize>| length == Some(8);
     let entry = sdo::find(bench, "writable value of eight bytes", |entry| {
         let is_plain = entry.kind() != Kind::Domain && !entry.acts_on_write();
         let can_be = entry.can_be_written() && entry.can_be_read();
-        is_plain && can_be && has_eight_bytes(entry.size())
+        is_plain && can_be && entry.size() == Some(8)
     })?;
     let before = bench.read(entry.address)?;
     let data: Vec<u8> = (1..).zip(&before).map(|(place, byte)| byte ^ place).collect();
