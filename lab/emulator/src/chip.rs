@@ -10,6 +10,7 @@ mod iwdg;
 mod map;
 mod part;
 mod rcc;
+mod registers;
 mod rng;
 mod rtc;
 mod supply;
@@ -23,18 +24,20 @@ pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
 pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
-pub use map::{Access, BusFault, CCM_BASE, FLASH_BASE, RAM_BASE, Width};
+pub use map::{CCM_BASE, FLASH_BASE, RAM_BASE};
 pub use part::{Part, UnknownPart};
 pub use rcc::{Clocks, ResetCause};
+pub use registers::{Access, BusFault, Width};
 pub use supply::Thresholds;
 pub use variant::{ChipVariant, StartUp};
 
 use std::ops::BitOr;
 
 use iwdg::Iwdg;
-use map::{Block, Registers, is_on_apb};
+use map::{Block, is_on_apb};
 use part::Family;
-use rcc::{Apb, Rcc, RccF4};
+use rcc::{Rcc, RccF4};
+use registers::{Apb, Registers};
 use rng::Rng;
 use rtc::Rtc;
 pub use system::AtZero;
@@ -325,6 +328,10 @@ impl Chip {
             .chain([Block::Pwr, Block::Rng, Block::Adc, Block::Syscfg])
     }
 
+    fn is_clocked(&self, block: Block) -> bool {
+        self.rcc.enabled(block.gate(self.part.family()))
+    }
+
     fn reset_block(&mut self, block: Block, now: Time) {
         self.registers(block).into_iter().for_each(|registers| registers.reset(now));
     }
@@ -346,7 +353,7 @@ impl Chip {
     pub fn read(&mut self, access: Access) -> Result<u32, BusFault> {
         let Access { address, width, now, .. } = access;
         let (block, offset) = Block::of(self.part.family(), address);
-        if !self.rcc.enabled(block) {
+        if !self.is_clocked(block) {
             self.report(access, None, Problem::ClockOff);
             return Ok(0);
         }
@@ -413,7 +420,7 @@ impl Chip {
             let why = "the data cache holds what was erased: no DCRST since";
             self.report(access, Some(value), Problem::Misuse(why));
         }
-        if !self.rcc.enabled(block) {
+        if !self.is_clocked(block) {
             self.report(access, Some(value), Problem::ClockOff);
             return Ok(());
         }
@@ -494,7 +501,7 @@ impl Chip {
                 "a CAN controller leaves initialisation with no pins in its alternate function",
             ));
         }
-        if is_start && can == 1 && !self.rcc.enabled(Block::Can(0)) {
+        if is_start && can == 1 && !self.is_clocked(Block::Can(0)) {
             return Err(Problem::Misuse(
                 "CAN2 leaves initialisation while CAN1, which has its memory, has no clock",
             ));
@@ -520,8 +527,9 @@ impl Chip {
 
     /// CAN2 keeps its filters when it is reset; CAN1 loses those of both.
     fn carry_out_resets(&mut self, now: Time) {
-        for block in self.gated().filter(|block| self.rcc.held_in_reset(*block)).collect::<Vec<_>>()
-        {
+        let family = self.part.family();
+        let is_held = |block: &Block| self.rcc.held_in_reset(block.gate(family));
+        for block in self.gated().filter(is_held).collect::<Vec<_>>() {
             self.reset_block(block, now);
             self.can_written |= matches!(block, Block::Can(_));
         }

@@ -31,11 +31,13 @@
 //! ```
 
 mod declaration;
+pub(crate) mod event;
 mod field;
 mod text;
 mod value;
 
 pub use declaration::{Row, check, check_count, count, fail, firsts, longest, table};
+pub use event::Event;
 pub use field::{FieldType, Plain, ValueOf, check_limits, len, read};
 pub use text::{OctetString, Text};
 pub use value::{
@@ -46,9 +48,8 @@ pub use value::{
 use core::iter;
 
 use crate::{
-    BitRate, NodeId, nmt,
     object_dictionary::{Description, Entry},
-    pdo::{Rpdo, Tpdo},
+    pdo::declaration::{Rpdo, Tpdo},
     sdo::{self, Abort},
 };
 
@@ -175,27 +176,6 @@ pub trait Application: Dictionary {
     fn abort_domain(&mut self, index: u16, sub_index: u8) {
         let _ = (index, sub_index);
     }
-}
-
-/// An event of the node that an application may need.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum Event {
-    /// The node has entered another NMT state.
-    Nmt(nmt::State),
-    /// The node runs or listens at another bit rate.
-    BitRate(BitRate),
-    /// The values of the RPDO with this number, from 1, have taken effect.
-    Received(u8),
-    /// The RPDO with this number, from 1, has not come within its event timer.
-    Late(u8),
-    /// A SYNC was received in NMT operational. TPDOs that it asks for carry the values as they are after this event.
-    Sync,
-    /// A node that the heartbeat consumer watches has booted.
-    BootUp(NodeId),
-    /// The heartbeat of a node that the heartbeat consumer watches is missing.
-    HeartbeatLost(NodeId),
 }
 
 /// The application of a node without one.

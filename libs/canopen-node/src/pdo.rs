@@ -3,7 +3,7 @@
 //! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`]; their numbers are parameters of
 //! [`Node`](crate::Node).
 
-mod declaration;
+pub(crate) mod declaration;
 mod mapping;
 mod parameters;
 mod rpdo;
@@ -18,7 +18,7 @@ use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
-    application::Event,
+    application::event::Event,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
     object_dictionary::{Entry, Object},

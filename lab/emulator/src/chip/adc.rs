@@ -1,6 +1,6 @@
 //! ADC1 (RM0090 chapter 13): single conversions by software, with the temperature sensor and the voltage reference.
 
-use super::{Part, Problem, map::Registers};
+use super::{Part, Problem, registers::Registers};
 use crate::{Time, can::Clock};
 
 const SR: u32 = 0x00;

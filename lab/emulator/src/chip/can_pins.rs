@@ -1,6 +1,6 @@
 //! The pins of the CAN controllers, which connect them to their transceivers according to the GPIO settings.
 
-use super::{Chip, Problem, map::Registers};
+use super::{Chip, Problem, registers::Registers};
 use crate::{
     Time,
     can::{Can, Pins},

@@ -14,7 +14,7 @@ use options::Options;
 pub use staging::PowerCut;
 pub use timing::Timing;
 
-use super::{ChipVariant, Part, Problem, Width, map::Registers, part::Family};
+use super::{ChipVariant, Part, Problem, Width, part::Family, registers::Registers};
 use crate::Time;
 
 const ACR: u32 = 0x00;

@@ -1,6 +1,6 @@
 //! GPIO ports (RM0090 chapter 8): mode, output with the time of the last change, external input.
 
-use super::{Part, Problem, map::Registers, part::Family};
+use super::{Part, Problem, part::Family, registers::Registers};
 use crate::Time;
 
 const MODER: u32 = 0x00;

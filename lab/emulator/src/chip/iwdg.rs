@@ -1,6 +1,6 @@
 //! IWDG (RM0090 chapter 21): the independent watchdog, clocked by LSI through sleep and flash stalls.
 
-use super::{Problem, map::Registers};
+use super::{Problem, registers::Registers};
 use crate::Time;
 
 const KR: u32 = 0x00;

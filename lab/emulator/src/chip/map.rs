@@ -1,70 +1,18 @@
-//! The address map: the properties of an access and the block that each address belongs to.
+//! The address map: the block that each address belongs to, and its gate in RCC.
 
 use super::{
-    Problem, g4,
+    g4,
     part::Family,
-    rcc::{self, Apb},
+    rcc::{self, Gate},
+    registers::{Apb, Place},
     timer, usart,
 };
-use crate::{Time, can::fdcan};
+use crate::can::fdcan;
 
 pub const FLASH_BASE: u32 = 0x0800_0000;
 pub const RAM_BASE: u32 = 0x2000_0000;
 /// First address of the core-coupled memory.
 pub const CCM_BASE: u32 = 0x1000_0000;
-
-/// The bus responds with an error, and the CPU takes a BusFault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BusFault;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Width {
-    Byte = 1,
-    Half = 2,
-    Word = 4,
-}
-
-impl Width {
-    /// The width of an access of this many bytes, if there is one.
-    pub const fn of(bytes: usize) -> Option<Self> {
-        match bytes {
-            1 => Some(Self::Byte),
-            2 => Some(Self::Half),
-            4 => Some(Self::Word),
-            _ => None,
-        }
-    }
-
-    pub const fn bytes(self) -> u32 {
-        self as u32
-    }
-
-    pub(super) const fn mask(self) -> u32 {
-        u32::MAX >> (32 - 8 * self.bytes())
-    }
-}
-
-/// A load or store by the CPU, naturally aligned.
-#[derive(Clone, Copy, Debug)]
-pub struct Access {
-    pub address: u32,
-    pub width: Width,
-    /// The time of the access.
-    pub now: Time,
-    pub pc: u32,
-}
-
-/// The registers of a peripheral, by their offsets from its first one.
-pub(super) trait Registers {
-    /// Resets the peripheral as RCC does.
-    fn reset(&mut self, now: Time);
-
-    /// The value of a register, or `None` if it does not exist or is not modelled.
-    fn read(&mut self, offset: u32, now: Time) -> Option<u32>;
-
-    /// Writes a register. What a problem says of the write is in its description.
-    fn write(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem>;
-}
 
 /// The block that an address belongs to. Those of one kind are counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,10 +36,6 @@ pub(super) enum Block {
     Factory,
     Unknown,
 }
-
-/// The place of a peripheral: its bus, and the kilobyte there. That is also the number of its bits in the bus's RCC
-/// registers, but for a few of the STM32G4.
-pub(super) type Place = (Apb, u32);
 
 impl Block {
     pub fn of(family: Family, address: u32) -> (Self, u32) {
@@ -158,9 +102,8 @@ impl Block {
         }
     }
 
-    /// RCC's register with the bit that enables the block, and the number of the bit, which is that of its reset too.
-    /// The reset of ADC1 is that of all ADCs.
-    pub fn gate(self, family: Family) -> Option<(u32, u32)> {
+    /// The block's gate, if it has one. The reset of ADC1 is that of all ADCs.
+    pub fn gate(self, family: Family) -> Option<Gate> {
         let is_g4 = family == Family::G4;
         let (bus, bit) = match self {
             Self::Gpio(port) if is_g4 => return Some((g4::AHB2ENR, port as u32)),

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{ChipVariant, Part, Problem, StartUp, map::Block, part::Family};
+use super::{ChipVariant, Part, Problem, StartUp};
 use crate::{Time, can::Clock};
 
 const CR: u32 = 0x00;
@@ -109,29 +109,22 @@ pub(super) fn apb_shift(ppre: u32) -> u32 {
     if ppre & 4 == 0 { 0 } else { (ppre & 3) + 1 }
 }
 
-/// A peripheral bus: APB1, from 4000_0000h on, or APB2, from 4001_0000h on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Apb {
-    One,
-    Two,
-}
+/// RCC's register with the bit that enables a peripheral, and the number of the bit, which is that of its reset, too.
+pub type Gate = (u32, u32);
 
 /// What the chip needs of RCC, whatever its registers are.
 pub trait Rcc: fmt::Debug + Send {
-    fn family(&self) -> Family;
-
     /// Resets every register; reset flags accumulate until RMVF or a power-on.
     fn reset(&mut self, cause: ResetCause);
 
     /// A register as it was written.
     fn reg(&self, offset: u32) -> u32;
 
-    fn enabled(&self, block: Block) -> bool {
-        block.gate(self.family()).is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
+    fn enabled(&self, gate: Option<Gate>) -> bool {
+        gate.is_none_or(|(register, bit)| self.reg(register) >> bit & 1 == 1)
     }
 
-    fn held_in_reset(&self, block: Block) -> bool {
-        let gate = block.gate(self.family());
+    fn held_in_reset(&self, gate: Option<Gate>) -> bool {
         gate.is_some_and(|(register, bit)| self.reg(register - 0x20) >> bit & 1 == 1)
     }
 
@@ -299,10 +292,6 @@ impl RccF4 {
 }
 
 impl Rcc for RccF4 {
-    fn family(&self) -> Family {
-        Family::F4
-    }
-
     fn reset(&mut self, cause: ResetCause) {
         let flags = match cause {
             ResetCause::PowerOn => 0,

@@ -1,6 +1,6 @@
 //! The random number generator (RM0090 chapter 24): every run gives the same numbers, without waiting.
 
-use super::{Problem, map::Registers};
+use super::{Problem, registers::Registers};
 use crate::Time;
 
 const CR: u32 = 0x00;

@@ -1,7 +1,7 @@
 //! The real-time clock (RM0090 chapter 26): its sub-second counter and the backup registers. Time and date stand still,
 //! and there are no alarms and no wake-up timer.
 
-use super::{Problem, map::Registers};
+use super::{Problem, registers::Registers};
 use crate::Time;
 
 const TR: u32 = 0x00;

@@ -4,8 +4,8 @@ use std::fmt;
 
 use super::{
     Part, Problem, Thresholds, adc,
-    map::{Place, Registers},
     part::Family,
+    registers::{Place, Registers},
 };
 use crate::Time;
 

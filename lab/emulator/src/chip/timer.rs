@@ -2,8 +2,7 @@
 
 use super::{
     Problem,
-    map::{Place, Registers},
-    rcc::Apb,
+    registers::{Apb, Place, Registers},
 };
 use crate::{
     Time,

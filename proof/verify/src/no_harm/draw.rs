@@ -3,9 +3,8 @@
 use canopen_node::{BitRate, lss::Request};
 use emulator::network::Short;
 
-use super::{
-    life::SWITCH_LEAD_MS,
-    situation::{Event, Foreign, Master, Node, Probe, Situation, Traffic, What, configure},
+use super::situation::{
+    Event, Foreign, Master, Node, Probe, SWITCH_LEAD_MS, Situation, Traffic, What, configure,
 };
 use testkit::{random::Random, wire::bit_per_s};
 

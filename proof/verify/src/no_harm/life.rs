@@ -10,7 +10,9 @@ use emulator::{
     network::{self, AdapterId, Network, Noise, Source},
 };
 
-use super::situation::{Foreign, Master, Node, Probe, Situation, Traffic, What, configure, ms};
+use super::situation::{
+    Foreign, Master, Node, Probe, SWITCH_LEAD_MS, Situation, Traffic, What, configure, ms,
+};
 use testkit::{
     boards::Variant,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
@@ -22,8 +24,6 @@ use testkit::{
 pub const POLL: Time = Time::from_ms(20);
 /// The boards' crystal deviations in ppm.
 const PPM: [i32; 8] = [0, 30, -40, 15, -25, 50, -10, 5];
-/// The time from `04 01` to `15`, in milliseconds.
-pub const SWITCH_LEAD_MS: u32 = 100;
 /// The number of frames that a foreign device sends at once, unless it sends one a second; as many more may wait.
 const BURST: usize = 4;
 /// The length of a long frame with its intermission, in bits.

@@ -5,7 +5,8 @@ use std::fmt;
 use canopen_node::{BitRate, lss::Request};
 use emulator::{Time, network::Short};
 
-use super::life::SWITCH_LEAD_MS;
+/// The time from `04 01` to `15`, in milliseconds.
+pub const SWITCH_LEAD_MS: u32 = 100;
 
 /// Boards, events and the time at which the master starts to look for the boards.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use crate::{
     Time,
-    chip::{Problem, map::Registers, system::Power},
+    chip::{Problem, registers::Registers, system::Power},
 };
 
 const CR1: u32 = 0x00;

@@ -5,7 +5,6 @@ use crate::{
     can::Clock,
     chip::{
         ChipVariant, Problem, StartUp,
-        part::Family,
         rcc::{Clocks, HSI, Rcc as _, ResetCause, apb_shift, hclk_shift},
     },
 };
@@ -166,10 +165,6 @@ impl Rcc {
 }
 
 impl crate::chip::rcc::Rcc for Rcc {
-    fn family(&self) -> Family {
-        Family::G4
-    }
-
     fn reset(&mut self, cause: ResetCause) {
         let is_power_on = cause == ResetCause::PowerOn;
         let flags = if is_power_on { 0 } else { self.reg(CSR) & 0xFE00_0000 };
