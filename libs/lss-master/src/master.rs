@@ -134,9 +134,7 @@ impl Master {
 
     /// The time-out of a probe.
     fn probe_time_out(&mut self, service: &Service, caution: u8) -> u32 {
-        // A slow slave may have been silent for so long that it is forgotten.
-        let known = self.seen(service).filter(|_| caution < GREATEST_CAUTION);
-        let Some(Seen { slowest, fastest, count, .. }) = known else {
+        let Some(Seen { slowest, fastest, count, .. }) = *self.seen(service) else {
             return self.timing.answer;
         };
         // Later requests may have more stuff bits.
@@ -371,6 +369,8 @@ impl Exchange {
             return request.to_frame();
         }
         let wait = match (self.caution, request) {
+            // A slow slave may have been silent for so long that it is forgotten.
+            (Some(GREATEST_CAUTION), _) => master.timing.answer,
             (Some(caution), _) => master.probe_time_out(&self.service, caution),
             (None, Request::StoreConfiguration) => master.timing.store,
             // Only a lost frame is asked for again.
@@ -394,9 +394,12 @@ impl Exchange {
             master.learn(&self.service, now.micros_after(self.since));
         }
         let is_known = master.knows(&self.service) || request == WHO;
-        if self.caution.is_none() && self.awaits_all && is_known {
+        if self.caution.is_none_or(|caution| caution == GREATEST_CAUTION)
+            && self.awaits_all
+            && is_known
+        {
             // Somebody answers: the others are not much slower.
-            let wait = master.probe_time_out(&self.service, 0);
+            let wait = master.probe_time_out(&self.service, self.caution.unwrap_or(0));
             self.until =
                 self.since.plus_micros(wait.saturating_add(master.queue_time(&self.service)));
         }
