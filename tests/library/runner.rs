@@ -81,6 +81,7 @@ impl Controller for Handle {
     ) -> bool {
         let mut chip = self.0.borrow_mut();
         chip.place = None;
+        chip.received.clear();
         chip.starts.push((mode, bit_rate.kbit_per_s()));
         chip.refused_starts = chip.refused_starts.saturating_sub(1);
         chip.refused_starts == 0

@@ -4,8 +4,8 @@ use crate::{BitRate, BusEvent, Frame, Receives, indicator::BusState};
 
 /// A CAN controller. No call may wait for the bus.
 pub trait Controller {
-    /// Runs at `bit_rate` from now on, drops what it was to send, leaves bus-off and lets the frames `receives` pass.
-    /// It must not wait for an idle bus, which may never come: the controller joins by itself.
+    /// Runs at `bit_rate` from now on, drops what it was to send and what it has received, leaves bus-off and lets the
+    /// frames `receives` pass. It must not wait for an idle bus, which may never come: the controller joins by itself.
     ///
     /// Returns whether it has started. If not, the runner tries again a few times a second.
     #[must_use]
