@@ -95,9 +95,8 @@ fn after_a_bus_of_error_frames_only_the_board_answers_again() {
     let mut rig = node_40(20);
     rig.lss("04 01");
     disturb(&mut rig);
-    let errors = rig.errors();
-    let of_board = errors.iter().filter(|error| error.source == Source::Board(0)).count();
-    assert!(of_board > 1_000, "{of_board} errors");
+    let errors = rig.errors().len();
+    assert!(errors > 20_000, "{errors} errors");
     rig.collect(Time::from_s(1));
     assert!(answers(&mut rig));
 }
