@@ -103,6 +103,8 @@ def test_a_master_that_syncs_at_the_old_rate_loses_nobody(network, heartbeat):
         time.sleep(max(0, switched + 3 - time.monotonic()))
         network.network.sync.stop()
         network.follow(bit_rate, switched, late=3)
+    # The history takes an error when its message has left, which waits for the error counters to fall.
+    time.sleep(1)
     for node in network.nodes:
         history = node.sdo["Pre-defined error field"]
         errors = [history[number].raw for number in range(1, history[0].raw + 1)]
