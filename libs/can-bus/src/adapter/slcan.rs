@@ -80,9 +80,15 @@ enum Line {
 impl Slcan {
     /// Connects to the adapter and asks for its version.
     pub fn connect(place: Place) -> Result<Self, Stop> {
-        let mut adapter = Self {
+        let mut adapter = Self::new(place, None);
+        adapter.reconnect()?;
+        Ok(adapter)
+    }
+
+    fn new(place: Place, port: Option<Box<dyn Port>>) -> Self {
+        Self {
             place,
-            port: None,
+            port,
             line: Vec::new(),
             inbox: VecDeque::new(),
             version: None,
@@ -90,9 +96,7 @@ impl Slcan {
             reports_status: true,
             has_reported_status: false,
             stamps: None,
-        };
-        adapter.reconnect()?;
-        Ok(adapter)
+        }
     }
 
     fn reconnect(&mut self) -> Result<(), Stop> {
@@ -393,6 +397,73 @@ fn parse_frame(line: &[u8]) -> Option<Line> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// An adapter that answers its commands with these lines, one for each.
+    struct Script(VecDeque<&'static [u8]>, Vec<u8>);
+
+    impl Read for Script {
+        fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+            let answer = std::mem::take(&mut self.1);
+            bytes[..answer.len()].copy_from_slice(&answer);
+            Ok(answer.len())
+        }
+    }
+
+    impl Write for Script {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.1.extend(self.0.pop_front().expect("it is asked no more"));
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Port for Script {
+        fn set_wait(&mut self, _: Duration) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    /// The adapter that answers so.
+    fn adapter(answers: &[&'static [u8]]) -> Slcan {
+        let script = Script(answers.iter().copied().collect(), Vec::new());
+        Slcan::new(Place::Tcp("a test".into()), Some(Box::new(script)))
+    }
+
+    #[test]
+    fn time_stamps_go_on_over_their_wraps() {
+        let mut adapter = adapter(&[]);
+        let begin = Instant::now();
+        // The stamp, the time passed here and the time that is to be found, in ms.
+        let cases = [
+            (59_990, 0, 59_990),
+            (59_999, 7, 59_999),
+            // A wrap; 60 s here that are a little less or more there; five minutes; and frames that came together.
+            (1, 11, 60_001),
+            (59_981, 60_011, 119_981),
+            (20, 120_011, 180_020),
+            (21, 420_011, 480_021),
+            (121, 420_011, 480_121),
+        ];
+        for (stamp, here, time) in cases {
+            let found = adapter.time(Some(stamp), begin + Duration::from_millis(here));
+            assert_eq!(found, Duration::from_millis(time), "{stamp} after {here} ms");
+        }
+    }
+
+    #[test]
+    fn an_adapter_that_reported_its_status_once_is_asked_again() {
+        let passive = Some(Status { is_error_passive: true, has_errors: false });
+        // A refusal, as of a frame that found the queue full.
+        let mut reports = adapter(&[b"F00\r", b"\x07", b"F20\r"]);
+        let found = [(); 3].map(|()| reports.status().expect("it is there"));
+        assert_eq!(found, [Some(Status::default()), None, passive]);
+        let mut reports_never = adapter(&[b"\x07"]);
+        let found = [(); 2].map(|()| reports_never.status().expect("it is there"));
+        assert_eq!(found, [None, None]);
+    }
 
     #[test]
     fn lines_of_adapters_are_read() {
