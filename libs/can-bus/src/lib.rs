@@ -11,6 +11,7 @@ pub mod explain;
 pub mod person;
 #[cfg(feature = "adapters")]
 pub mod sdo;
+pub mod slcan;
 #[cfg(feature = "adapters")]
 pub mod stop;
 pub mod svg;

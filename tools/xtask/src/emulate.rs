@@ -5,7 +5,6 @@ mod console;
 mod memory;
 mod pace;
 mod programs;
-mod slcan;
 
 use std::{
     collections::BTreeMap,

@@ -7,15 +7,12 @@ use std::{
     thread,
 };
 
+use can_bus::slcan::{self, END, LINE};
 use emulator::{
-    can::{Adapter, Station},
+    can::{Adapter, Frame, Id, Station},
     network::{AdapterId, Network},
 };
 
-use super::slcan::{self, Command};
-
-/// The longest line that is read; every command is shorter.
-const LINE: u64 = 64;
 /// The number of frames that may wait for the bus; more are refused.
 const QUEUE: usize = 1000;
 
@@ -56,17 +53,17 @@ pub fn accept(listener: TcpListener, inputs: SyncSender<Input>) {
 fn read(id: ClientId, stream: TcpStream, inputs: &SyncSender<Input>) {
     let mut reader = BufReader::new(stream);
     let mut line = Vec::new();
-    while let Ok(1..) = std::io::Read::take(&mut reader, LINE).read_until(slcan::END, &mut line) {
-        if line.len() as u64 == LINE && !line.ends_with(&[slcan::END]) {
+    while let Ok(1..) = std::io::Read::take(&mut reader, LINE as u64).read_until(END, &mut line) {
+        if line.len() == LINE && !line.ends_with(&[END]) {
             // The rest of the line is no command either.
-            if reader.skip_until(slcan::END).is_err() {
+            if reader.skip_until(END).is_err() {
                 break;
             }
-        } else if !line.ends_with(&[slcan::END]) {
+        } else if !line.ends_with(&[END]) {
             // The program disconnected within a line.
             break;
         }
-        line.retain(|byte| ![b'\n', slcan::END].contains(byte));
+        line.retain(|byte| ![b'\n', END].contains(byte));
         if inputs.send(Input::Line(id, std::mem::take(&mut line))).is_err() {
             return;
         }
@@ -130,57 +127,105 @@ impl Client {
     pub fn deliver(&mut self, network: &mut Network) {
         while let Some((time, frame)) = network.receive(self.adapter) {
             let milliseconds = self.has_timestamps.then_some(time.as_ms());
-            self.write(slcan::received(&frame, milliseconds).into());
+            self.write(received(&frame, milliseconds));
         }
     }
 
     /// Carries out a line of the program and answers it.
     pub fn execute(&mut self, line: &[u8], network: &mut Network) {
-        let answer = Command::parse(line).and_then(|command| self.carry_out(command, network));
-        self.write(answer.unwrap_or_else(|| slcan::REFUSED.to_vec()));
+        let answer = str::from_utf8(line).ok().and_then(|line| self.carry_out(line, network));
+        self.write(answer.unwrap_or_else(|| char::from(slcan::REFUSED).into()));
     }
 
-    /// Carries out a command and returns the answer; `None` if it is not possible now.
-    fn carry_out(&mut self, command: Command, network: &mut Network) -> Option<Vec<u8>> {
+    /// Carries out a command and returns the answer; `None` if it is unknown or not possible now.
+    fn carry_out(&mut self, line: &str, network: &mut Network) -> Option<String> {
         let adapter = network.adapter_mut(self.adapter);
-        match command {
-            Command::Nothing => {}
-            Command::BitRate(_) | Command::Open | Command::ListenOnly if self.is_open => {
-                return None;
+        match line {
+            // Some programs send a few of them to end any earlier line.
+            "" => {}
+            "O" | "L" if self.is_open => return None,
+            "O" | "L" => {
+                (self.is_open, self.may_transmit) = (true, line == "O");
+                if self.may_transmit { adapter.open() } else { adapter.listen_only() }
             }
-            Command::BitRate(bit_rate) => adapter.set_bit_rate(bit_rate),
-            Command::Open => {
-                adapter.open();
-                (self.is_open, self.may_transmit) = (true, true);
-            }
-            Command::ListenOnly => {
-                adapter.listen_only();
-                (self.is_open, self.may_transmit) = (true, false);
-            }
-            Command::Close => {
+            "C" => {
                 adapter.close();
                 (self.is_open, self.may_transmit) = (false, false);
             }
-            Command::Transmit(frame) if self.may_transmit && adapter.unsent() < QUEUE => {
-                network.send(self.adapter, frame);
-                return Some(slcan::queued(&frame).to_vec());
-            }
-            Command::Transmit(_) => return None,
-            Command::Timestamps(wanted) => self.has_timestamps = wanted,
-            Command::Version => return Some(b"V1013\r".to_vec()),
-            Command::SerialNumber => return Some(b"NEMUL\r".to_vec()),
-            Command::Status => {
+            "Z0" | "Z1" => self.has_timestamps = line == "Z1",
+            "V" => return Some("V1013\r".into()),
+            "N" => return Some("NEMUL\r".into()),
+            "F" => {
                 let has_errors = adapter.errors() > self.known_errors;
                 self.known_errors = adapter.errors();
-                return Some(slcan::status(adapter.controller().counters(), has_errors).into());
+                let counters = adapter.controller().counters();
+                let flag = |is, flag| if is { flag } else { 0 };
+                let flags = flag(counters.warning(), slcan::WARNING)
+                    | flag(counters.passive(), slcan::ERROR_PASSIVE)
+                    | flag(has_errors, slcan::BUS_ERROR);
+                return Some(format!("F{flags:02X}\r"));
             }
+            _ => match line.split_at_checked(1)? {
+                ("S", digit) if digit.len() == 1 && !self.is_open => {
+                    let kbit = *slcan::RATES.get(slcan::hex(digit)? as usize)?;
+                    adapter.set_bit_rate(u32::from(kbit) * 1000);
+                }
+                // The acceptance filter of an SJA1000.
+                ("M" | "m", filter) if filter.len() == 8 => {
+                    slcan::hex(filter)?;
+                }
+                _ => match slcan::Frame::parse(line)? {
+                    (frame, None) if self.may_transmit && adapter.unsent() < QUEUE => {
+                        network.send(self.adapter, on_the_bus(&frame));
+                        return Some(if frame.is_extended { "Z\r" } else { "z\r" }.into());
+                    }
+                    _ => return None,
+                },
+            },
         }
-        Some(vec![slcan::END])
+        Some(char::from(END).into())
     }
 
     /// Sends a line to the program. If it has disconnected, the line is lost; the disconnection arrives as an
     /// [`Input`].
-    fn write(&mut self, line: Vec<u8>) {
-        let _ = self.output.send(line);
+    fn write(&mut self, line: String) {
+        let _ = self.output.send(line.into());
+    }
+}
+
+fn on_the_bus(frame: &slcan::Frame) -> Frame {
+    let id = match frame.is_extended {
+        true => Id::Extended(frame.id),
+        false => Id::Standard(frame.id as u16),
+    };
+    match frame.is_remote {
+        true => Frame::remote(id, frame.length),
+        false => Frame::data(id, frame.data()),
+    }
+}
+
+/// The line for a received frame, including its end.
+fn received(frame: &Frame, milliseconds: Option<u64>) -> String {
+    let (id, is_extended) = match frame.id {
+        Id::Standard(id) => (id.into(), false),
+        Id::Extended(id) => (id, true),
+    };
+    let (length, data) = (frame.dlc.min(8), frame.data);
+    let frame = slcan::Frame { id, is_extended, is_remote: frame.remote, length, data };
+    match milliseconds {
+        Some(ms) => format!("{frame}{:04X}\r", ms % slcan::STAMPS_MS),
+        None => format!("{frame}\r"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_stamps_wrap_and_a_data_length_code_above_eight_is_reported_as_eight() {
+        let frame = Frame::data(Id::Standard(0x7E5), &[0; 8]).with_dlc(15);
+        assert_eq!(received(&frame, None), "t7E580000000000000000\r");
+        assert_eq!(received(&frame, Some(60_255)), "t7E58000000000000000000FF\r");
     }
 }
