@@ -71,7 +71,7 @@ impl Controller for Bxcan {
         };
         rcc::enable_and_reset::<peripherals::CAN1>();
         CAN1.ier().write_value(self.interrupts);
-        self.sending = [None; 3];
+        (self.sending, self.received) = ([None; 3], None);
         self.can.modify_config().set_bit_timing(timing).set_silent(mode == Mode::Listen);
         self.set_receives(receives);
         // The first poll begins, and the controller joins the bus by itself.
