@@ -1,11 +1,13 @@
 //! An LSS master on the emulated bus.
 
-use canopen_node::{BitRate, Instant};
+use std::convert::Infallible;
+
+use canopen_node::{BitRate, Frame, Instant};
 use emulator::{
     Time,
     network::{AdapterId, Network},
 };
-use lss_master::{Error, Master, Output, Procedure, Timing};
+use lss_master::{Bus, Error, Master, Procedure, Timing};
 
 use super::wire::{bit_per_s, from_the_wire, on_the_wire};
 
@@ -27,21 +29,48 @@ pub fn carry_out<P: Procedure>(
     procedure: P,
 ) -> Result<P::Output, Error> {
     while network.receive(adapter).is_some() {}
-    let mut session = master.start(procedure);
-    loop {
-        let now = Instant::from_micros(network.now().as_us() as u32);
-        match session.poll(now) {
-            Output::Transmit(request) => network.send(adapter, on_the_wire(&request)),
-            Output::SetBitRate(rate) => network.adapter_mut(adapter).set_bit_rate(bit_per_s(rate)),
-            Output::Wait(until) => {
-                let wait = Time::from_us(until.micros_after(now).into());
-                if let Some((time, frame)) = network.run_until_received(adapter, wait)
-                    && let Some(frame) = from_the_wire(&frame)
-                {
-                    session.handle_frame(&frame, Instant::from_micros(time.as_us() as u32));
-                }
-            }
-            Output::Done(result) => return result,
-        }
+    let Ok(result) = lss_master::run(&mut OnBus { network, adapter }, master, procedure);
+    result
+}
+
+/// An adapter on the emulated bus.
+struct OnBus<'a> {
+    network: &'a mut Network,
+    adapter: AdapterId,
+}
+
+impl Bus for OnBus<'_> {
+    type Error = Infallible;
+
+    fn now(&self) -> Instant {
+        instant(self.network.now())
     }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Infallible> {
+        self.network.send(self.adapter, on_the_wire(frame));
+        Ok(())
+    }
+
+    fn receive(
+        &mut self,
+        until: Instant,
+        mut take: impl FnMut(&Frame, Instant),
+    ) -> Result<(), Infallible> {
+        let wait = Time::from_us(until.micros_after(self.now()).into());
+        if let Some((time, frame)) = self.network.run_until_received(self.adapter, wait)
+            && let Some(frame) = from_the_wire(&frame)
+        {
+            take(&frame, instant(time));
+        }
+        Ok(())
+    }
+
+    fn set_bit_rate(&mut self, bit_rate: BitRate) -> Result<(), Infallible> {
+        self.network.adapter_mut(self.adapter).set_bit_rate(bit_per_s(bit_rate));
+        Ok(())
+    }
+}
+
+fn instant(time: Time) -> Instant {
+    Instant::from_micros(time.as_us() as u32)
 }

@@ -1,13 +1,13 @@
 //! A bus within the process, in virtual time: boards with a node, an LSS master, and frames that are lost, delayed or
 //! doubled.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, convert::Infallible};
 
 use canopen_node::{
     BitRate, Frame, Instant,
     lss::{self, Address},
 };
-use lss_master::{Error, Master, Output, Procedure};
+use lss_master::{Bus, Error, Master, Procedure};
 
 use super::{
     node_rig::{ADDRESS, NodeRig},
@@ -101,21 +101,8 @@ impl RigBus {
         master: &mut Master,
         procedure: P,
     ) -> Result<P::Output, Error> {
-        let mut session = master.start(procedure);
-        loop {
-            let now = Instant::from_micros(self.now as u32);
-            match session.poll(now) {
-                Output::Transmit(request) => self.send(&request),
-                Output::SetBitRate(rate) => self.bit_rate = rate,
-                Output::Wait(until) => {
-                    let until = self.now + u64::from(until.micros_after(now));
-                    if let Some(answer) = self.receive(until) {
-                        session.handle_frame(&answer, Instant::from_micros(self.now as u32));
-                    }
-                }
-                Output::Done(result) => return result,
-            }
-        }
+        let Ok(result) = lss_master::run(self, master, procedure);
+        result
     }
 
     /// The boards in LSS configuration state.
@@ -209,6 +196,36 @@ impl RigBus {
             let again = self.end_of_frame();
             self.at(again, Event::Received(answer));
         }
+    }
+}
+
+impl Bus for RigBus {
+    type Error = Infallible;
+
+    fn now(&self) -> Instant {
+        Instant::from_micros(self.now as u32)
+    }
+
+    fn send(&mut self, request: &Frame) -> Result<(), Infallible> {
+        self.send(request);
+        Ok(())
+    }
+
+    fn receive(
+        &mut self,
+        until: Instant,
+        mut take: impl FnMut(&Frame, Instant),
+    ) -> Result<(), Infallible> {
+        let wait = until.micros_after(Bus::now(self));
+        if let Some(answer) = self.receive(self.now + u64::from(wait)) {
+            take(&answer, Bus::now(self));
+        }
+        Ok(())
+    }
+
+    fn set_bit_rate(&mut self, bit_rate: BitRate) -> Result<(), Infallible> {
+        self.bit_rate = bit_rate;
+        Ok(())
     }
 }
 

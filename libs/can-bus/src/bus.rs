@@ -14,7 +14,7 @@ use canopen_node::{
     lss::{self, Request},
     nmt,
 };
-use lss_master::{Error, Master, Output, Procedure, Timing};
+use lss_master::{Error, Master, Procedure, Timing};
 
 use crate::{
     adapter::{Adapter, Mode, Received, Status},
@@ -90,6 +90,52 @@ pub enum Pace {
 /// The time of `bits` at `rate`.
 pub fn bits(bits: u32, rate: BitRate) -> Duration {
     Duration::from_micros(u64::from(bits) * 1000 / u64::from(rate.kbit_per_s()))
+}
+
+impl lss_master::Bus for Bus {
+    type Error = Stop;
+
+    fn now(&self) -> canopen_node::Instant {
+        self.now()
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
+        self.note_request(frame);
+        self.send(frame)
+    }
+
+    fn receive(
+        &mut self,
+        until: canopen_node::Instant,
+        mut take: impl FnMut(&Frame, canopen_node::Instant),
+    ) -> Result<(), Stop> {
+        let wait = Duration::from_micros(until.micros_after(self.now()).into());
+        let is_answer = |frame: &Frame| frame.cob_id() == lss::RESPONSE_COB_ID;
+        if let Some(answer) = self.wait_for(wait, is_answer)? {
+            self.note_answer(&answer.frame);
+            take(&answer.frame, self.now());
+            return Ok(());
+        }
+        // The computer may have paused, and the adapter with it.
+        match self.pace {
+            Pace::Patient => self.flush()?,
+            Pace::Quick => {
+                self.adapter.settle()?;
+                self.pass(Duration::ZERO)?;
+            }
+        }
+        for late in self.take_unasked() {
+            self.note_answer(&late.frame);
+            take(&late.frame, self.now());
+            self.keep(late);
+        }
+        self.forget_answers();
+        Ok(())
+    }
+
+    fn set_bit_rate(&mut self, bit_rate: BitRate) -> Result<(), Stop> {
+        self.open(bit_rate)
+    }
 }
 
 impl Bus {
@@ -330,44 +376,8 @@ impl Bus {
         };
         let new = || Master::new(timing);
         let mut master = self.master.take().unwrap_or_else(new);
-        let mut session = master.start(procedure);
         self.forget_answers();
-        let result = loop {
-            let now = self.now();
-            match session.poll(now) {
-                Output::Transmit(frame) => {
-                    self.note_request(&frame);
-                    self.send(&frame)?;
-                }
-                Output::SetBitRate(rate) => self.open(rate)?,
-                Output::Wait(until) => {
-                    let wait = Duration::from_micros(until.micros_after(now).into());
-                    match self.wait_for(wait, |frame| frame.cob_id() == lss::RESPONSE_COB_ID)? {
-                        Some(answer) => {
-                            self.note_answer(&answer.frame);
-                            session.handle_frame(&answer.frame, self.now());
-                        }
-                        None => {
-                            // The computer may have paused, and the adapter with it.
-                            match self.pace {
-                                Pace::Patient => self.flush()?,
-                                Pace::Quick => {
-                                    self.adapter.settle()?;
-                                    self.pass(Duration::ZERO)?;
-                                }
-                            }
-                            for late in self.take_unasked() {
-                                self.note_answer(&late.frame);
-                                session.handle_frame(&late.frame, self.now());
-                                self.keep(late);
-                            }
-                            self.forget_answers();
-                        }
-                    }
-                }
-                Output::Done(result) => break result,
-            }
-        };
+        let result = lss_master::run(self, &mut master, procedure)?;
         self.master = Some(master);
         Ok(result)
     }

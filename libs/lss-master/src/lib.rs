@@ -38,7 +38,8 @@
 //! ```
 //!
 //! # Where to begin
-//! - [`Master::start`] begins a [`Procedure`], and [`Session`] documents the calls that carry it out.
+//! - [`run`] carries out a [`Procedure`] on a [`Bus`]. Where nothing may wait, [`Master::start`] begins it, and
+//!   [`Session`] documents the calls.
 //! - Single services: any [`Request`](lss_slave::lss::Request), [`Select`], [`SelectAlone`], [`InquireAddress`],
 //!   [`InquireNodeId`], [`Identify`].
 //! - Who is there: [`Fastscan`] finds slaves without a node-ID, [`Find`] all of a product.
@@ -56,6 +57,7 @@ mod find;
 mod inquire;
 mod master;
 mod procedure;
+mod run;
 mod service;
 mod switch_bit_rate;
 
@@ -71,5 +73,6 @@ pub use inquire::{InquireAddress, InquireNodeId, Select, SelectAlone};
 pub use lss_slave::Instant;
 pub use master::{Master, Output, Session, Timing};
 pub use procedure::{Outcome, Procedure, Step};
+pub use run::{Bus, run};
 pub use service::{Identify, Service};
 pub use switch_bit_rate::{Member, SwitchBitRate};

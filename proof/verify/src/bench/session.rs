@@ -3,8 +3,8 @@
 use std::{ops::RangeInclusive, path::Path};
 
 use anyhow::{Context, ensure};
-use canopen_node::{Frame, Instant, lss::Request};
-use lss_master::{Fastscan, Identify, InquireAddress, Master, Output, Procedure, Select, Timing};
+use canopen_node::{BitRate, Frame, Instant, lss::Request};
+use lss_master::{Bus, Fastscan, Identify, InquireAddress, Master, Procedure, Select, Timing};
 
 use super::machine::{Cost, Machine, Reception};
 
@@ -126,24 +126,48 @@ fn carry_out<P: Procedure>(
     machine: &mut Machine,
     procedure: P,
 ) -> anyhow::Result<(P::Output, Receptions)> {
-    let mut master = Master::new(Timing::default());
-    let mut session = master.start(procedure);
-    let mut now = Instant::from_micros(0);
-    let (mut receptions, mut answer) = (Vec::new(), None);
-    loop {
-        match session.poll(now) {
-            Output::Transmit(request) => {
-                let reception = machine.receive(&request)?;
-                answer = reception.answer.map(|(frame, _)| frame);
-                receptions.push((request.data()[0], reception));
-            }
-            Output::Wait(until) => match answer.take() {
-                Some(frame) => session.handle_frame(&frame, now),
-                None => now = until,
-            },
-            Output::SetBitRate(_) => {}
-            Output::Done(result) => return Ok((result?, receptions)),
+    let now = Instant::from_micros(0);
+    let mut slave = Slave { machine, now, receptions: Vec::new(), answer: None };
+    let output = lss_master::run(&mut slave, &mut Master::new(Timing::default()), procedure)??;
+    Ok((output, slave.receptions))
+}
+
+/// The bus of a program.
+struct Slave<'a> {
+    machine: &'a mut Machine,
+    now: Instant,
+    receptions: Receptions,
+    answer: Option<Frame>,
+}
+
+impl Bus for Slave<'_> {
+    type Error = anyhow::Error;
+
+    fn now(&self) -> Instant {
+        self.now
+    }
+
+    fn send(&mut self, request: &Frame) -> anyhow::Result<()> {
+        let reception = self.machine.receive(request)?;
+        self.answer = reception.answer.map(|(frame, _)| frame);
+        self.receptions.push((request.data()[0], reception));
+        Ok(())
+    }
+
+    fn receive(
+        &mut self,
+        until: Instant,
+        mut take: impl FnMut(&Frame, Instant),
+    ) -> anyhow::Result<()> {
+        match self.answer.take() {
+            Some(frame) => take(&frame, self.now),
+            None => self.now = until,
         }
+        Ok(())
+    }
+
+    fn set_bit_rate(&mut self, _: BitRate) -> anyhow::Result<()> {
+        Ok(())
     }
 }
 
