@@ -1,15 +1,14 @@
 //! The commands, one a file.
 
 mod apply;
-mod assign;
+pub mod assign;
 mod blink;
-mod find;
+pub mod find;
 mod identify;
-mod inquire;
-mod list;
+pub mod list;
+mod one_board;
 mod power;
 mod raw;
-mod replace;
 mod set_id;
 mod set_rate;
 mod store;
@@ -20,8 +19,8 @@ pub use assign::assign;
 pub use blink::blink;
 pub use find::find;
 pub use identify::identify;
-pub use inquire::{id_text, inquire};
 pub use list::{Row, list, state};
+pub use one_board::{id_text, inquire};
 pub use raw::raw;
 pub use set_id::set_id;
 pub use set_rate::set_rate;

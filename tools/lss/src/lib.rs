@@ -4,14 +4,12 @@ mod address;
 mod arguments;
 mod commands;
 mod failure;
-mod give;
-mod live;
+mod network;
 mod picture;
+mod plan;
 mod progress;
 mod recorder;
-mod scan;
 mod session;
-mod table;
 
 pub use arguments::{Arguments, Command};
 pub use failure::Failure;

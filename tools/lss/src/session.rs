@@ -18,7 +18,7 @@ use crate::{
     arguments::{Arguments, Command},
     commands,
     failure::Failure,
-    give,
+    network::board,
     picture::{self, Caption},
     progress::Progress,
     recorder::Record,
@@ -128,7 +128,7 @@ impl<'a> Session<'a> {
         match arguments.command {
             // These let boards store, send what the user asks for, or do it themselves.
             Command::Store(_) | Command::Raw { .. } | Command::Assign(_) => {}
-            _ => give::end_earlier_run(self)?,
+            _ => board::end_earlier_run(self)?,
         }
         match &arguments.command {
             Command::Find { .. } | Command::Apply(_) | Command::Completion { .. } => Ok(()),

@@ -1,13 +1,5 @@
 //! `lss apply`: brings a network from the found to the desired state, and says before what it is going to do.
 
-mod dcf;
-mod found;
-mod node_ids;
-mod plan;
-mod sheet;
-mod values;
-mod wishes;
-
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -15,10 +7,20 @@ use std::{
 
 use canopen_node::BitRate;
 
-use crate::{address, arguments::Apply, commands::set_rate, failure::Failure, session::Session};
-use found::{Found, Values};
-use plan::{Plan, counted};
-use wishes::Network;
+use crate::{
+    address,
+    arguments::Apply,
+    commands::set_rate,
+    failure::Failure,
+    plan::{
+        dcf,
+        differences::{Plan, counted, print_unknown},
+        files::Network,
+        found::{self, Found, Values},
+        node_ids, values,
+    },
+    session::Session,
+};
 
 /// The switch delay of another bit rate in ms, as that of `lss set-rate`.
 const SWITCH_DELAY: u16 = 500;
@@ -130,7 +132,7 @@ fn work(
     node_ids::assign(session, network, found, rate, stores_again)?;
     node_ids::unshare(found);
     for row in found::late(session, found)? {
-        plan::print_unknown(&mut *session.out, &row)?;
+        print_unknown(&mut *session.out, &row)?;
     }
     if let Some(rate) = network.bit_rate.filter(|rate| *rate != session.bus.rate()) {
         match found.places.iter().all(Option::is_some) {

@@ -8,12 +8,17 @@ use lss_master::{Fastscan, Find, Identify, InquireNodeId, SelectAlone};
 use crate::{
     address,
     arguments::Assign,
-    commands::{list, power, replace::replace},
+    commands::{list, power},
     failure::Failure,
-    give::{Gift, ask_for_rest, give, take_back_rest},
-    scan::{self, Search},
+    network::{
+        board::{Gift, ask_for_rest, give, take_back_rest},
+        scan::{self, Search},
+    },
+    plan::{
+        replacement::replace,
+        table::{Draft, Table},
+    },
     session::Session,
-    table::{Draft, Table},
 };
 
 /// The wait for the next board that somebody plugs in.

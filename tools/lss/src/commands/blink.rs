@@ -8,9 +8,9 @@ use lss_master::InquireNodeId;
 use crate::{
     address::{self, Which},
     arguments::Target,
-    commands::{inquire::choose, list},
+    commands::{list, one_board::choose},
     failure::Failure,
-    scan,
+    network::scan,
     session::{GLANCE, Session},
 };
 

@@ -7,7 +7,7 @@ use canopen_node::{BitRate, lss::Request};
 
 use crate::{
     failure::Failure,
-    scan,
+    network::scan,
     session::{DEFAULT_RATE, Session},
 };
 

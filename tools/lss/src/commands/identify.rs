@@ -2,7 +2,7 @@
 
 use lss_master::{Find, Identify};
 
-use crate::{address, arguments::Ranges, failure::Failure, scan, session::Session};
+use crate::{address, arguments::Ranges, failure::Failure, network::scan, session::Session};
 
 /// Says whether a board is within the ranges, or which ones are.
 pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failure> {

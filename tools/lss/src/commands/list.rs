@@ -5,7 +5,7 @@ use canopen_node::{NodeId, lss::Address, nmt::State};
 use lss_master::{InquireNodeId, SelectAlone};
 use serde::{Serialize, Serializer};
 
-use crate::{address, failure::Failure, scan, session::Session};
+use crate::{address, failure::Failure, network::scan, session::Session};
 
 /// A node, as far as it is known.
 #[derive(Clone, Debug, Default, Serialize)]

@@ -4,7 +4,7 @@ use std::{collections::BTreeSet, time::Duration};
 
 use canopen_node::{Frame, lss::Request};
 
-use crate::{address, commands::list, failure::Failure, scan, session::Session};
+use crate::{address, commands::list, failure::Failure, network::scan, session::Session};
 
 /// The wait until somebody has switched the power.
 const HANDS: Duration = Duration::from_secs(120);

@@ -7,9 +7,9 @@ use lss_master::InquireNodeId;
 use crate::{
     address::{self, Assigned},
     arguments::Target,
-    commands::inquire::{choose, id_text},
+    commands::one_board::{choose, id_text},
     failure::Failure,
-    give::{Gift, RESET_COMMUNICATION, configure, give, take_effect},
+    network::board::{Gift, RESET_COMMUNICATION, configure, give, take_effect},
     session::Session,
 };
 

@@ -3,7 +3,7 @@
 use canopen_node::lss::Request;
 
 use crate::{
-    address, arguments::Target, commands::inquire::choose, failure::Failure, session::Session,
+    address, arguments::Target, commands::one_board::choose, failure::Failure, session::Session,
 };
 
 /// Stores the pending node-ID and bit rate of a board.

@@ -11,8 +11,10 @@ use canopen_node::lss::Request;
 use crate::{
     commands::list,
     failure::Failure,
-    live::{Network, Node},
-    scan,
+    network::{
+        live::{Network, Node},
+        scan,
+    },
     session::{Screen, Session},
 };
 

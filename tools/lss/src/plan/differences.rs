@@ -5,8 +5,8 @@ use canopen_node::{BitRate, NodeId};
 use serde::Serialize;
 
 use super::{
+    files::{Network, Node},
     found::{Found, Place, Values},
-    wishes::{Network, Node},
 };
 use crate::{
     address,

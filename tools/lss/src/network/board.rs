@@ -10,7 +10,8 @@ use canopen_node::{
 };
 use lss_master::{Configure, InquireNodeId, SelectAlone};
 
-use crate::{address, commands::id_text, failure::Failure, scan, session::Session};
+use super::scan;
+use crate::{address, commands::id_text, failure::Failure, session::Session};
 
 /// The NMT command reset communication.
 pub const RESET_COMMUNICATION: u8 = 130;

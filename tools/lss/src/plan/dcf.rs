@@ -6,8 +6,8 @@ use can_bus::{eds, sdo};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::{
+    files::{Node, STAMP},
     sheet::Sheet,
-    wishes::{Node, STAMP},
 };
 use crate::{failure::Failure, session::Session};
 

@@ -6,8 +6,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::sheet::{Sheet, address_words, read_text};
-use crate::{address, failure::Failure, table};
+use super::{
+    sheet::{Sheet, address_words, read_text},
+    table,
+};
+use crate::{address, failure::Failure};
 use can_bus::{
     adapter,
     eds::{self, Eds, Entry, Kind},

@@ -6,14 +6,14 @@ use canopen_node::{BitRate, NodeId, lss::Address};
 use lss_master::SelectAlone;
 
 use super::{
+    files::Network,
     found::{Found, Place},
-    wishes::Network,
 };
 use crate::{
     address,
     commands::id_text,
     failure::Failure,
-    give::{self, Gift},
+    network::board::{self, Gift},
     session::Session,
 };
 
@@ -135,8 +135,8 @@ fn give(
 fn select_and_give(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure> {
     session.carry_out(SelectAlone::new(gift.address))?;
     match gift.before == gift.to {
-        true => give::store_again(session, gift),
-        false => give::give(session, gift).map(drop),
+        true => board::store_again(session, gift),
+        false => board::give(session, gift).map(drop),
     }
 }
 

@@ -6,10 +6,10 @@ use can_bus::{eds, sdo};
 use canopen_node::{NodeId, lss::Address, nmt::State};
 
 use super::{
+    files::{Node, STAMP},
     found::{self, Change, Values},
-    wishes::{Node, STAMP},
 };
-use crate::{failure::Failure, give::reset, session::Session};
+use crate::{failure::Failure, network::board::reset, session::Session};
 
 /// The value that stores all parameters, as it is written to 1010h.
 const SAVE: &[u8] = b"save";

@@ -13,7 +13,7 @@ use can_bus::{
 use canopen_node::{BitRate, NodeId, lss::Address};
 use toml::Value as Toml;
 
-use super::wishes::Board;
+use super::files::Board;
 
 /// The node-ID and the bit rate in boards of this repository, which LSS sets.
 const SETTINGS_BY_SDO: (u16, &str) = (0x2FF0, "Node-ID and bit rate");

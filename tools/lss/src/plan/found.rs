@@ -7,7 +7,7 @@ use canopen_node::{
 };
 use lss_master::InquireNodeId;
 
-use super::wishes::{Board, Network, Node, STAMP};
+use super::files::{Board, Network, Node, STAMP};
 use crate::{
     address,
     commands::{
@@ -15,8 +15,7 @@ use crate::{
         list::{self, Row},
     },
     failure::Failure,
-    give,
-    scan::Search,
+    network::{board, scan::Search},
     session::{DEFAULT_RATE, Session},
 };
 
@@ -50,7 +49,7 @@ pub fn open(
     wanted: Option<BitRate>,
 ) -> Result<(), Failure> {
     open_at_its_rate(session, given, wanted)?;
-    give::end_earlier_run(session)
+    board::end_earlier_run(session)
 }
 
 fn open_at_its_rate(
