@@ -15,6 +15,11 @@ pub fn parts(numbers: &[u32]) -> String {
     numbers.iter().map(|number| format!("{number:08X}")).collect::<Vec<_>>().join(", ")
 }
 
+/// A node-ID in words.
+pub fn id_text(id: Option<NodeId>) -> String {
+    id.map_or_else(|| "none".to_owned(), |id| id.get().to_string())
+}
+
 /// An LSS address as [`text`] writes it.
 pub fn address(text: &str) -> Result<Address, String> {
     let part = |part: &str| u32::from_str_radix(part.trim_start_matches("0x"), 16).ok();

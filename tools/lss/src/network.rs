@@ -1,5 +1,8 @@
-//! The boards on the bus: who is there, and what is done with one of them.
+//! The boards on the bus: who is on it, and what is done with one of them.
 
 pub mod board;
 pub mod live;
+pub mod nodes;
+pub mod rate;
+pub mod rows;
 pub mod scan;

@@ -8,11 +8,11 @@ use lss_master::{Fastscan, Find, Identify, InquireNodeId, SelectAlone};
 use crate::{
     address,
     arguments::Assign,
-    commands::{list, power},
+    commands::power,
     failure::Failure,
     network::{
-        board::{Gift, ask_for_rest, give, take_back_rest},
-        scan::{self, Search},
+        board::{Gift, Search, ask_for_rest, give, take_back_rest},
+        nodes, rows, scan,
     },
     plan::{
         replacement::replace,
@@ -75,7 +75,7 @@ impl Work {
     fn carry_out(&mut self, session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failure> {
         // The answers come while the nodes are asked.
         ask_for_rest(session)?;
-        let nodes = scan::nodes(session)?;
+        let nodes = nodes::nodes(session)?;
         take_back_rest(session)?;
         let is_shared = nodes.values().any(|numbers| numbers.len() > 1);
         match arguments.one_at_a_time {
@@ -103,11 +103,11 @@ impl Work {
     fn all(
         &mut self,
         session: &mut Session<'_>,
-        nodes: scan::Nodes,
+        nodes: nodes::Nodes,
         is_agreed: bool,
     ) -> Result<(), Failure> {
         let entries = self.entries();
-        let as_known = scan::known(session, &entries, &nodes)?;
+        let as_known = nodes::known(session, &entries, &nodes)?;
         self.taken.extend(nodes.into_keys());
         self.taken.extend(session.bus.states.keys());
         let mut missing = Vec::new();
@@ -326,7 +326,7 @@ impl Work {
 
     /// Gives another node-ID to each new board whose node-ID a board has that came later; says who shares one still.
     fn part(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
-        let nodes = scan::nodes(session)?;
+        let nodes = nodes::nodes(session)?;
         self.taken.extend(nodes.keys().chain(session.bus.states.keys()));
         let mut is_moved = false;
         for (id, address) in self.new.clone() {
@@ -342,7 +342,7 @@ impl Work {
             // The other one has it.
             self.taken.insert(id.get());
         }
-        let nodes = if is_moved { scan::nodes(session)? } else { nodes };
+        let nodes = if is_moved { nodes::nodes(session)? } else { nodes };
         for (id, serial_numbers) in nodes {
             self.problems.extend(shared(session, id, &serial_numbers)?);
         }
@@ -429,9 +429,9 @@ impl Work {
         let ids: BTreeSet<u8> =
             unasked.iter().filter_map(|received| booted(&received.frame)).collect();
         for id in &ids {
-            let numbers = scan::serial_numbers(session, *id)?;
+            let numbers = nodes::serial_numbers(session, *id)?;
             self.taken.insert(*id);
-            for row in list::node(session, *id, &numbers)? {
+            for row in rows::node(session, *id, &numbers)? {
                 let text = row.lss_address.as_ref().map_or("-".into(), address::text);
                 writeln!(session.out, "node {id}  {text}  has this node-ID already")?;
             }
@@ -455,7 +455,7 @@ fn shared(
     if serial_numbers.len() < 2 {
         return Ok(None);
     }
-    let twins = list::twins(&list::node(session, id, serial_numbers)?).pop();
+    let twins = rows::twins(&rows::node(session, id, serial_numbers)?).pop();
     let words = || {
         format!(
             "{} boards have node-ID {id}, with the serial numbers {}: give all but one another (lss set-id --reset)",

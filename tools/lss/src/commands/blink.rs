@@ -8,9 +8,9 @@ use lss_master::InquireNodeId;
 use crate::{
     address::{self, Which},
     arguments::Target,
-    commands::{list, one_board::choose},
+    commands::one_board::choose,
     failure::Failure,
-    network::scan,
+    network::{nodes, rows},
     session::{GLANCE, Session},
 };
 
@@ -59,14 +59,14 @@ pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
 /// The LSS address of the only node with this node-ID.
 fn address_of(session: &mut Session<'_>, id: NodeId) -> Result<Address, Failure> {
     let id = id.get();
-    let numbers = scan::serial_numbers(session, id)?;
+    let numbers = nodes::serial_numbers(session, id)?;
     if numbers.is_empty() {
         return Err(Failure::NoAnswer(format!(
             "node {id} does not answer at {}. `lss list` shows who is there",
             session.bus.rate()
         )));
     }
-    let rows = list::node(session, id, &numbers)?;
+    let rows = rows::node(session, id, &numbers)?;
     match &rows[..] {
         [row] => row.lss_address.ok_or_else(|| {
             Failure::Refused(format!("node {id} does not tell its LSS address by object 1018h"))

@@ -1,25 +1,12 @@
-//! `lss find`: the bit rate of the network, and who is there.
+//! `lss find`: the bit rate of the network, and who answers.
 
-use std::{collections::BTreeMap, time::Duration};
-
-use can_bus::{bus::bits, explain::explain};
-use canopen_node::{BitRate, lss::Request};
+use canopen_node::BitRate;
 
 use crate::{
     failure::Failure,
-    network::scan,
+    network::rate::{self, Sight},
     session::{DEFAULT_RATE, Session},
 };
-
-/// The wait for a frame on a bus where nodes send heartbeats, in general one a second.
-const HEARTBEAT: Duration = Duration::from_millis(1150);
-
-/// The time in which a frame is repeated at any bit rate.
-const REPETITION: Duration = Duration::from_millis(20);
-/// The time in which a board that looks for the bit rate comes to that of a repeated frame, and the bits of these
-/// frames: the adapter must be error passive before they are valid for a listener.
-const SEARCH: Duration = Duration::from_millis(100);
-const SEARCH_BITS: u32 = 5_500;
 
 /// What a silent network gets to read.
 const QUIET: &str = "no frame at any bit rate. New boards are silent, at 125 kbit/s: `lss list` shows them. For \
@@ -30,19 +17,6 @@ const QUIET: &str = "no frame at any bit rate. New boards are silent, at 125 kbi
 /// What boards at different bit rates get to read.
 const MIXED: &str =
     "boards at different bit rates disturb each other: leave those of one bit rate on the bus";
-
-/// What a bit rate showed.
-#[derive(Default)]
-struct Sight {
-    /// The frames heard, in words, with their number.
-    heard: BTreeMap<String, usize>,
-    is_blank_there: bool,
-    /// The node-IDs that answer.
-    nodes: Vec<u8>,
-    has_errors: bool,
-    /// Somebody acknowledges the adapter's frames, as far as the adapter can tell.
-    is_acknowledged: bool,
-}
 
 /// Finds the bit rate of the network: by listening to all bit rates, and if it is silent and `asks`, by questions that
 /// change no state. The adapter was expected to be at `expected`.
@@ -63,7 +37,7 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
     let mut sights = Vec::new();
     for &rate in &rates {
         session.progress.say(|| format!("listening at {rate}"));
-        let sight = listen(session, rate)?;
+        let sight = rate::listen(session, rate)?;
         has_signals |= sight.has_errors;
         if !sight.heard.is_empty() {
             let has_errors = sight.has_errors;
@@ -75,8 +49,8 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
         }
     }
     if let [(rate, sight)] = &mut sights[..] {
-        ask(session, *rate, sight)?;
-        name(session, sight)?;
+        rate::ask(session, *rate, sight)?;
+        rate::name(session, sight)?;
         return tell(session, *rate, expected, sight);
     }
     // A question would disturb those at the other bit rates.
@@ -114,92 +88,22 @@ fn ask_at_all(
     let mut candidates = Vec::new();
     for &rate in rates {
         session.progress.say(|| format!("asking at {rate}"));
-        let mut sight = Sight::default();
-        ask(session, rate, &mut sight)?;
+        let sight = rate::answers_at(session, rate)?;
         has_errors |= sight.has_errors;
-        if sight.is_anyone_there() {
+        if sight.has_answer() {
             candidates.push(rate);
         }
     }
     let mut answers = Vec::new();
     for rate in candidates {
         session.progress.say(|| format!("asking at {rate} again"));
-        let mut sight = Sight::default();
-        ask(session, rate, &mut sight)?;
-        if sight.is_anyone_there() {
-            name(session, &mut sight)?;
+        let mut sight = rate::answers_at(session, rate)?;
+        if sight.has_answer() {
+            rate::name(session, &mut sight)?;
             answers.push((rate, sight));
         }
     }
     Ok((answers, has_errors))
-}
-
-impl Sight {
-    fn is_anyone_there(&self) -> bool {
-        self.is_blank_there || self.is_acknowledged || !self.nodes.is_empty()
-    }
-}
-
-/// The first of these bit rates at which a frame is heard.
-pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<BitRate>, Failure> {
-    for &rate in rates {
-        session.progress.say(|| format!("listening at {rate}"));
-        session.bus.listen(rate)?;
-        if session.bus.wait_for(HEARTBEAT, |_| true)?.is_some() {
-            return Ok(Some(rate));
-        }
-    }
-    Ok(None)
-}
-
-/// Whether somebody answers at a bit rate that may be wrong. The adapter stays there.
-pub fn answers_at(session: &mut Session<'_>, rate: BitRate) -> Result<bool, Failure> {
-    let mut sight = Sight::default();
-    ask(session, rate, &mut sight)?;
-    Ok(sight.is_anyone_there())
-}
-
-/// Listens without a sign of life on the bus.
-fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
-    session.bus.listen(rate)?;
-    let mut sight = Sight::default();
-    for received in session.bus.collect(HEARTBEAT)? {
-        let words = explain(received.frame.cob_id(), received.frame.data());
-        *sight.heard.entry(words).or_default() += 1;
-    }
-    sight.has_errors = session.bus.status()?.is_some_and(|status| status.has_errors);
-    Ok(sight)
-}
-
-/// Asks by identify non-configured remote slave, again and again in the time in which a board comes that looks for the
-/// bit rate.
-fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Result<(), Failure> {
-    session.bus.open(rate)?;
-    let until = session.bus.time() + SEARCH + bits(SEARCH_BITS, rate);
-    let mut status;
-    loop {
-        sight.is_blank_there |= session.bus.probe(Request::IdentifyNonConfigured)?.is_some();
-        status = session.bus.status()?;
-        let has_errors = status.is_some_and(|status| status.has_errors || status.is_error_passive);
-        sight.has_errors |= has_errors;
-        let is_undisturbed = status.is_some() && !sight.has_errors;
-        if is_undisturbed || session.bus.time() >= until {
-            break;
-        }
-        // A frame that nobody acknowledges is repeated without end.
-        session.bus.pass(REPETITION)?;
-    }
-    sight.is_acknowledged = status.is_some_and(|status| !status.has_errors);
-    if status.is_none() && !sight.is_blank_there {
-        name(session, sight)?;
-    }
-    Ok(())
-}
-
-/// Asks each node for its serial number.
-fn name(session: &mut Session<'_>, sight: &mut Sight) -> Result<(), Failure> {
-    sight.nodes = scan::nodes(session)?.into_keys().collect();
-    Ok(())
 }
 
 fn tell(
@@ -222,10 +126,10 @@ fn tell(
         let nodes: Vec<String> = sight.nodes.iter().map(u8::to_string).collect();
         writeln!(out, "answers to SDO: node {}", nodes.join(", "))?;
     }
-    if sight.is_blank_there {
+    if sight.has_blank {
         writeln!(out, "answers to LSS: at least one board without a node-ID")?;
     }
-    if !sight.is_blank_there && sight.nodes.is_empty() {
+    if !sight.has_blank && sight.nodes.is_empty() {
         writeln!(out, "nobody answers to SDO or LSS; somebody takes part in the bus")?;
     }
     Ok(())

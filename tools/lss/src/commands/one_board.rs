@@ -2,13 +2,15 @@
 
 use std::time::Duration;
 
-use canopen_node::{
-    NodeId,
-    lss::{Address, AddressPart, RESPONSE_COB_ID, Request},
-};
+use canopen_node::lss::{Address, AddressPart, RESPONSE_COB_ID, Request};
 use lss_master::{InquireAddress, InquireNodeId, SelectAlone};
 
-use crate::{address, arguments::Target, failure::Failure, session::Session};
+use crate::{
+    address::{self, id_text},
+    arguments::Target,
+    failure::Failure,
+    session::Session,
+};
 
 /// Prints the LSS address and the node-ID of a board.
 pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure> {
@@ -24,11 +26,6 @@ pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure>
     writeln!(session.out, "node-ID          {}", id_text(node_id))?;
     writeln!(session.out, "bit rate         {}", session.bus.rate())?;
     Ok(())
-}
-
-/// A node-ID in words.
-pub fn id_text(id: Option<NodeId>) -> String {
-    id.map_or_else(|| "none".to_owned(), |id| id.get().to_string())
 }
 
 /// Brings the board that is meant to LSS configuration state, and all others to LSS waiting state.

@@ -4,7 +4,12 @@ use std::{collections::BTreeSet, time::Duration};
 
 use canopen_node::{Frame, lss::Request};
 
-use crate::{address, commands::list, failure::Failure, network::scan, session::Session};
+use crate::{
+    address,
+    failure::Failure,
+    network::{nodes, rows, scan},
+    session::Session,
+};
 
 /// The wait until somebody has switched the power.
 const HANDS: Duration = Duration::from_secs(120);
@@ -16,7 +21,7 @@ const GLANCE: Duration = Duration::from_millis(200);
 /// Asks the person to switch the power off and on, and checks that each node boots up again and is the same board.
 pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
     session.carry_out(Request::SwitchToWaiting)?;
-    let before = scan::nodes(session)?;
+    let before = nodes::nodes(session)?;
     if before.is_empty() {
         return Err(Failure::NoAnswer("no node answers that could come back after power".into()));
     }
@@ -38,7 +43,7 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
         )));
     }
     session.progress.clear();
-    let mut after = scan::nodes(session)?;
+    let mut after = nodes::nodes(session)?;
     let mut problems = Vec::new();
     for (id, mut numbers) in before {
         let mut now = after.remove(&id).unwrap_or_default();
@@ -102,7 +107,7 @@ fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, F
 /// What is wrong with the stored bit rate of a node, if it tells.
 fn stored_rate(session: &mut Session<'_>, id: u8) -> Result<Option<String>, Failure> {
     let rate = session.bus.rate().kbit_per_s();
-    let home = list::home_bit_rate(session, id)?.filter(|home| *home != 0 && *home != rate);
+    let home = rows::home_bit_rate(session, id)?.filter(|home| *home != 0 && *home != rate);
     Ok(home.map(|home| {
         format!("node {id} has stored {home} kbit/s, and the network runs at {rate}: `lss set-rate` is for all")
     }))

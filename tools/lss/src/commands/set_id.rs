@@ -5,9 +5,9 @@ use canopen_node::{NodeId, lss::Request};
 use lss_master::InquireNodeId;
 
 use crate::{
-    address::{self, Assigned},
+    address::{self, Assigned, id_text},
     arguments::Target,
-    commands::one_board::{choose, id_text},
+    commands::one_board::choose,
     failure::Failure,
     network::board::{Gift, RESET_COMMUNICATION, configure, give, take_effect},
     session::Session,

@@ -9,8 +9,8 @@ use lss_master::{Member, SelectAlone, SwitchBitRate};
 
 use crate::{
     address,
-    commands::list,
     failure::{self, Failure},
+    network::rows,
     session::Session,
 };
 
@@ -170,8 +170,8 @@ impl Switch {
 
 /// The boards of the network, each of which can be selected.
 fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
-    let rows = list::rows(session)?;
-    if let Some(twins) = list::twins(&rows).pop() {
+    let rows = rows::rows(session)?;
+    if let Some(twins) = rows::twins(&rows).pop() {
         return Err(Failure::Refused(twins));
     }
     let mut members = Vec::new();

@@ -13,7 +13,7 @@ use crate::{
     failure::Failure,
     network::{
         live::{Network, Node},
-        scan,
+        nodes, rows,
     },
     session::{Screen, Session},
 };
@@ -28,7 +28,7 @@ const EVENTS: usize = 3;
 /// Lists all nodes, and then only listens until Ctrl-C. A node that appears is asked once who it is.
 pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
     let start = session.bus.time();
-    let mut rows = list::rows(session)?;
+    let mut rows = rows::rows(session)?;
     // Boards without a node-ID were asked in LSS configuration state.
     session.bus.request(Request::SwitchToWaiting)?;
     session.bus.flush()?;
@@ -42,7 +42,7 @@ pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
     session.progress.clear();
     for row in &mut rows {
         let state = row.node_id.and_then(|id| session.bus.states.get(&id));
-        row.state = state.copied().map(list::state);
+        row.state = state.copied().map(rows::state);
     }
     if session.screen.is_none() {
         list::print(session, &rows)?;
@@ -108,10 +108,10 @@ fn listen(session: &mut Session<'_>, network: &mut Network) -> Result<(), Failur
 
 /// Asks a node who it is.
 fn ask(session: &mut Session<'_>, network: &mut Network, id: u8) -> Result<(), Failure> {
-    let numbers = scan::serial_numbers(session, id)?;
+    let numbers = nodes::serial_numbers(session, id)?;
     let rows = match numbers.is_empty() {
         true => Vec::new(),
-        false => list::node(session, id, &numbers)?,
+        false => rows::node(session, id, &numbers)?,
     };
     network.identify(id, rows, session.bus.time());
     if !numbers.is_empty() {

@@ -1,17 +1,21 @@
-//! How a board gets a node-ID: it is configured and stored, takes effect, and is read back after a reset. If a step
-//! fails, it is taken back.
+//! What is done with one board: it is selected, and it gets a node-ID, which is configured and stored, takes effect, and
+//! is read back after a reset. If a step fails, it is taken back.
 
 use std::time::Duration;
 
 use can_bus::{bus::Masters, sdo};
 use canopen_node::{
     BitRate, Frame, NodeId,
-    lss::{Address, Request},
+    lss::{Address, AddressPart, Request},
 };
 use lss_master::{Configure, InquireNodeId, SelectAlone};
 
-use super::scan;
-use crate::{address, commands::id_text, failure::Failure, session::Session};
+use super::nodes;
+use crate::{
+    address::{self, id_text},
+    failure::Failure,
+    session::Session,
+};
 
 /// The NMT command reset communication.
 pub const RESET_COMMUNICATION: u8 = 130;
@@ -21,6 +25,8 @@ const RESET_NODE: u8 = 129;
 const BOOT: Duration = Duration::from_secs(2);
 /// How often a lost frame is made up for.
 const ATTEMPTS: usize = 3;
+/// The pause between frames for slaves that look for one each 10 ms.
+const GAP: Duration = Duration::from_millis(12);
 /// The node-ID in LSS messages of a board without one.
 const NONE: u8 = NodeId::to_lss(None);
 
@@ -135,7 +141,7 @@ pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result
     let is_boot_up =
         |frame: &Frame| frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0];
     if session.bus.take_unasked().iter().any(|received| is_boot_up(&received.frame)) {
-        return Err(Failure::Refused(scan::two(&address::text(address), id.get())));
+        return Err(Failure::Refused(nodes::two(&address::text(address), id.get())));
     }
     match number {
         Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
@@ -257,4 +263,64 @@ fn mixed(id: u8, why: &str) -> Failure {
         "boards without a node-ID and node {id} are in LSS configuration state together, and it does not tell its LSS \
          address (object 1018h: {why}): switch the power of all boards off and on"
     ))
+}
+
+/// The search for boards by their LSS addresses, of which many may be missing.
+#[derive(Default)]
+pub struct Search {
+    /// A board was asked with patience, and is missing.
+    is_anyone_missing: bool,
+    /// Nobody takes part in the bus.
+    is_deserted: bool,
+}
+
+impl Search {
+    /// Brings the board with this LSS address to LSS configuration state, and all others to LSS waiting state; false if
+    /// it is missing. The first one that is missing costs the patience of the master, and each other one a glance.
+    pub fn select(&mut self, session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+        if self.is_deserted || self.is_anyone_missing && !is_heard(session, address)? {
+            return Ok(false);
+        }
+        match session.carry_out(SelectAlone::new(address)) {
+            Ok(()) => Ok(true),
+            Err(Failure::NoAnswer(_)) => {
+                self.is_anyone_missing = true;
+                self.is_deserted = is_deserted(session, address)?;
+                Ok(false)
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+}
+
+/// Whether nobody has sent anything so far, and nobody acknowledges a selection, as the adapter reports.
+fn is_deserted(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+    if !session.bus.states.is_empty() || session.bus.slowest_answer().is_some() {
+        return Ok(false);
+    }
+    session.bus.status()?;
+    let is_heard = is_heard(session, address)?;
+    let status = session.bus.status()?;
+    Ok(!is_heard && status.is_some_and(|status| status.has_errors || status.is_error_passive))
+}
+
+/// Whether a board answers to its selection soon, at once or after one with pauses, which some slaves need.
+fn is_heard(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+    let Address { vendor_id, product_code, revision_number, serial_number } = address;
+    for gap in [Duration::ZERO, GAP] {
+        for request in [
+            Request::SwitchToWaiting,
+            Request::Select(AddressPart::VendorId, vendor_id),
+            Request::Select(AddressPart::ProductCode, product_code),
+            Request::Select(AddressPart::RevisionNumber, revision_number),
+        ] {
+            session.bus.request(request)?;
+            session.bus.pass(gap)?;
+        }
+        let last = Request::Select(AddressPart::SerialNumber, serial_number);
+        if session.bus.probe(last)?.is_some() {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }

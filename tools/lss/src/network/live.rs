@@ -7,10 +7,8 @@ use std::{
 
 use can_bus::{adapter::Received, explain::error_code};
 
-use crate::{
-    address,
-    commands::{Row, state},
-};
+use super::rows::{Row, state};
+use crate::address;
 
 /// The number of events that are kept for the screen.
 const KEPT: usize = 100;

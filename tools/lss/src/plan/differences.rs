@@ -9,9 +9,9 @@ use super::{
     found::{Found, Place, Values},
 };
 use crate::{
-    address,
-    commands::{Row, id_text},
+    address::{self, id_text},
     failure::Failure,
+    network::rows::Row,
     session::Session,
 };
 

@@ -10,12 +10,12 @@ use lss_master::InquireNodeId;
 use super::files::{Board, Network, Node, STAMP};
 use crate::{
     address,
-    commands::{
-        find,
-        list::{self, Row},
-    },
     failure::Failure,
-    network::{board, scan::Search},
+    network::{
+        board::{self, Search},
+        nodes, rate,
+        rows::{self, Row},
+    },
     session::{DEFAULT_RATE, Session},
 };
 
@@ -67,9 +67,9 @@ fn open_at_its_rate(
         session.bus.open(first)?;
         return Ok(());
     };
-    let heard = find::heard_at(session, &[first, second])?;
+    let heard = rate::heard_at(session, &[first, second])?;
     let rate = heard.unwrap_or(first);
-    if heard.is_none() && !find::answers_at(session, rate)? {
+    if heard.is_none() && !rate::answers_at(session, rate)?.has_answer() {
         return Err(Failure::NoAnswer(format!(
             "nobody answers at {rate}, and no frame is heard at {rate} and {second}. If the boards are at {second}: \
              --bit-rate {}",
@@ -89,8 +89,9 @@ pub fn boards(
     network: &Network,
     is_plan: bool,
 ) -> Result<Found, Failure> {
-    let mut unknown = list::nodes(session)?;
-    let problems = list::twins(&unknown);
+    let nodes = nodes::nodes(session)?;
+    let mut unknown = rows::of(session, nodes)?;
+    let problems = rows::twins(&unknown);
     let mut places = vec![None; network.nodes.len()];
     let mut search = Search::default();
     for (node, place) in network.nodes.iter().zip(&mut places) {
@@ -150,7 +151,7 @@ pub fn late(session: &mut Session<'_>, found: &mut Found) -> Result<Vec<Row>, Fa
 
 /// The boards without a node-ID beside these.
 fn others(session: &mut Session<'_>, places: &[Option<Place>]) -> Result<Vec<Row>, Failure> {
-    let mut rows = list::blank(session)?;
+    let mut rows = rows::blank(session)?;
     let known: Vec<Address> = places.iter().flatten().map(|place| place.address).collect();
     // One that tells its address by LSS alone, and is known by that.
     let has_blank = places.iter().flatten().any(|place| place.id.is_none());

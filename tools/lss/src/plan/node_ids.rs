@@ -10,8 +10,7 @@ use super::{
     found::{Found, Place},
 };
 use crate::{
-    address,
-    commands::id_text,
+    address::{self, id_text},
     failure::Failure,
     network::board::{self, Gift},
     session::Session,

@@ -5,12 +5,7 @@ use std::collections::BTreeSet;
 use can_bus::person;
 use canopen_node::{NodeId, lss::Address};
 
-use crate::{
-    address,
-    commands::{assign::Work, list},
-    failure::Failure,
-    session::Session,
-};
+use crate::{address, commands::assign::Work, failure::Failure, network::rows, session::Session};
 
 /// A board of the table, or a new one.
 type Board = (NodeId, Address);
@@ -123,7 +118,7 @@ fn is_missing((id, address): &Board) -> String {
 fn new_boards(session: &mut Session<'_>, table: &[Board]) -> Result<Vec<Address>, Failure> {
     let is_known = |address: &Address| table.iter().any(|(_, known)| known == address);
     let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
-    let rows = list::rows(session)?.into_iter();
+    let rows = rows::rows(session)?.into_iter();
     let new = rows.filter(|row| row.node_id.is_none_or(is_of_table));
     Ok(new.filter_map(|row| row.lss_address).filter(|address| !is_known(address)).collect())
 }

@@ -1,0 +1,102 @@
+//! The bit rate of a network: what is heard at one, and who answers there.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use can_bus::{bus::bits, explain::explain};
+use canopen_node::{BitRate, lss::Request};
+
+use super::nodes;
+use crate::{failure::Failure, session::Session};
+
+/// The wait for a frame on a bus where nodes send heartbeats, in general one a second.
+const HEARTBEAT: Duration = Duration::from_millis(1150);
+
+/// The time in which a frame is repeated at any bit rate.
+const REPETITION: Duration = Duration::from_millis(20);
+/// The time in which a board that looks for the bit rate comes to that of a repeated frame, and the bits of these
+/// frames: the adapter must be error passive before they are valid for a listener.
+const SEARCH: Duration = Duration::from_millis(100);
+const SEARCH_BITS: u32 = 5_500;
+
+/// What a bit rate showed.
+#[derive(Default)]
+pub struct Sight {
+    /// The frames heard, in words, with their number.
+    pub heard: BTreeMap<String, usize>,
+    /// A board without a node-ID answers.
+    pub has_blank: bool,
+    /// The node-IDs that answer.
+    pub nodes: Vec<u8>,
+    pub has_errors: bool,
+    /// Somebody acknowledges the adapter's frames, as far as the adapter can tell.
+    is_acknowledged: bool,
+}
+
+impl Sight {
+    /// Somebody takes part in the bus.
+    pub fn has_answer(&self) -> bool {
+        self.has_blank || self.is_acknowledged || !self.nodes.is_empty()
+    }
+}
+
+/// The first of these bit rates at which a frame is heard.
+pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<BitRate>, Failure> {
+    for &rate in rates {
+        session.progress.say(|| format!("listening at {rate}"));
+        session.bus.listen(rate)?;
+        if session.bus.wait_for(HEARTBEAT, |_| true)?.is_some() {
+            return Ok(Some(rate));
+        }
+    }
+    Ok(None)
+}
+
+/// Asks at a bit rate that may be wrong. The adapter stays there.
+pub fn answers_at(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
+    let mut sight = Sight::default();
+    ask(session, rate, &mut sight)?;
+    Ok(sight)
+}
+
+/// Listens without a sign of life on the bus.
+pub fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
+    session.bus.listen(rate)?;
+    let mut sight = Sight::default();
+    for received in session.bus.collect(HEARTBEAT)? {
+        let words = explain(received.frame.cob_id(), received.frame.data());
+        *sight.heard.entry(words).or_default() += 1;
+    }
+    sight.has_errors = session.bus.status()?.is_some_and(|status| status.has_errors);
+    Ok(sight)
+}
+
+/// Asks by identify non-configured remote slave, again and again in the time in which a board comes that looks for the
+/// bit rate.
+pub fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Result<(), Failure> {
+    session.bus.open(rate)?;
+    let until = session.bus.time() + SEARCH + bits(SEARCH_BITS, rate);
+    let mut status;
+    loop {
+        sight.has_blank |= session.bus.probe(Request::IdentifyNonConfigured)?.is_some();
+        status = session.bus.status()?;
+        let has_errors = status.is_some_and(|status| status.has_errors || status.is_error_passive);
+        sight.has_errors |= has_errors;
+        let is_undisturbed = status.is_some() && !sight.has_errors;
+        if is_undisturbed || session.bus.time() >= until {
+            break;
+        }
+        // A frame that nobody acknowledges is repeated without end.
+        session.bus.pass(REPETITION)?;
+    }
+    sight.is_acknowledged = status.is_some_and(|status| !status.has_errors);
+    if status.is_none() && !sight.has_blank {
+        name(session, sight)?;
+    }
+    Ok(())
+}
+
+/// Asks each node for its serial number.
+pub fn name(session: &mut Session<'_>, sight: &mut Sight) -> Result<(), Failure> {
+    sight.nodes = nodes::nodes(session)?.into_keys().collect();
+    Ok(())
+}
