@@ -9,6 +9,7 @@ mod picture;
 mod plan;
 mod progress;
 mod recorder;
+mod run;
 mod session;
 
 pub use arguments::{Arguments, Command};

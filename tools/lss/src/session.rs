@@ -1,28 +1,15 @@
-//! A run of a command on a bus, which leaves all boards in LSS waiting state.
+//! The bus, the person, and the place of the results, as a command has them.
 
-use std::{
-    fs::{self, File},
-    io::Write,
-    time::Duration,
-};
+use std::{io::Write, time::Duration};
 
 use can_bus::{
-    bus::{Bus, Masters, Pace},
+    bus::Bus,
     person::{PATIENCE, Person},
-    stop::Stop,
 };
 use canopen_node::{BitRate, lss::Request};
 use lss_master::Procedure;
 
-use crate::{
-    arguments::{Arguments, Command},
-    commands,
-    failure::Failure,
-    network::board,
-    picture::{self, Caption},
-    progress::Progress,
-    recorder::Record,
-};
+use crate::{failure::Failure, progress::Progress, recorder::Record};
 
 /// The bit rate of new boards.
 pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
@@ -68,82 +55,6 @@ impl<'a> Session<'a> {
             slow_answer: None,
             twice: Vec::new(),
             record: None,
-        }
-    }
-
-    /// Carries out the command, leaves the bus, and draws what happened.
-    pub fn run(&mut self, arguments: &Arguments) -> Result<(), Failure> {
-        let Some(path) = &arguments.svg else { return self.work(arguments) };
-        let cannot = |error| Stop::Bench(format!("cannot write {}: {error}", path.display()));
-        // Before the work: a file that is there keeps its content.
-        File::options().append(true).create(true).open(path).map_err(cannot)?;
-        let outcome = self.work(arguments);
-        if let Some(Record { entries, time_of_day }) = &self.record {
-            let adapter = self.bus.description();
-            let caption = Caption {
-                title: arguments.command.title(),
-                line: format!("{adapter}, from {}", picture::date_and_time(*time_of_day)),
-                failure: outcome.as_ref().err().map(ToString::to_string),
-            };
-            let svg = picture::draw(&entries.borrow(), &caption);
-            fs::write(path, svg).map_err(cannot)?;
-        }
-        outcome
-    }
-
-    fn work(&mut self, arguments: &Arguments) -> Result<(), Failure> {
-        // A running network has an NMT master and SDO clients.
-        self.bus.mind(Masters::Lss);
-        self.bus.set_pace(Pace::Quick);
-        let outcome = self.carry(arguments);
-        self.progress.clear();
-        let is_over = match arguments.command {
-            // It changes no state.
-            Command::Find { .. } => true,
-            // The user asks for each state that a raw request leads to.
-            Command::Raw { .. } => outcome.is_ok(),
-            _ => self.all_wait,
-        };
-        if !is_over {
-            self.end();
-        }
-        self.bus.leave();
-        self.out.flush()?;
-        match (self.bus.short_answer, &arguments.command) {
-            // It prints each answer.
-            (_, Command::Raw { .. }) | (None, _) => outcome,
-            (Some(answer), _) => short_answer(outcome, answer.data().len()),
-        }
-    }
-
-    fn carry(&mut self, arguments: &Arguments) -> Result<(), Failure> {
-        let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
-        if let Command::Find { ask } = arguments.command {
-            return commands::find(self, rate, ask);
-        }
-        if let Command::Apply(arguments_of_it) = &arguments.command {
-            return commands::apply(self, arguments.bit_rate, arguments_of_it);
-        }
-        self.bus.open(rate)?;
-        match arguments.command {
-            // These let boards store, send what the user asks for, or do it themselves.
-            Command::Store(_) | Command::Raw { .. } | Command::Assign(_) => {}
-            _ => board::end_earlier_run(self)?,
-        }
-        match &arguments.command {
-            Command::Find { .. } | Command::Apply(_) | Command::Completion { .. } => Ok(()),
-            Command::List { watch: true, .. } => commands::watch(self),
-            Command::List { json, .. } => commands::list(self, *json),
-            Command::Assign(assign) => commands::assign(self, assign),
-            Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
-            Command::Inquire(target) => commands::inquire(self, *target),
-            Command::Blink { which } => commands::blink(self, *which),
-            Command::Identify(ranges) => commands::identify(self, ranges),
-            Command::SetId { id, target, store, reset } => {
-                commands::set_id(self, *id, *target, *store, *reset)
-            }
-            Command::Store(target) => commands::store(self, *target),
-            Command::Raw { bytes } => commands::raw(self, bytes),
         }
     }
 
@@ -203,17 +114,4 @@ impl<'a> Session<'a> {
         }
         Ok(outcome?)
     }
-}
-
-/// What became of a command while the answers of a device were passed over.
-fn short_answer(outcome: Result<(), Failure>, len: usize) -> Result<(), Failure> {
-    let words = format!(
-        "a device answers LSS requests with {len} bytes, and not with 8 (CiA 305): it was passed over. Its firmware must be \
-         mended, or `lss raw` configures it, alone on the bus"
-    );
-    Err(match outcome {
-        Ok(()) => Failure::Refused(words),
-        Err(stop @ Failure::Stop(_)) => stop,
-        Err(failure) => Failure::Refused(format!("{failure}\n{words}")),
-    })
 }

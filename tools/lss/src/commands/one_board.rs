@@ -1,16 +1,28 @@
-//! `lss inquire`, and the choice of the board that a command is for.
+//! The commands for one board: inquire, set-id, store, blink, identify and raw.
 
 use std::time::Duration;
 
-use canopen_node::lss::{Address, AddressPart, RESPONSE_COB_ID, Request};
-use lss_master::{InquireAddress, InquireNodeId, SelectAlone};
+use can_bus::sdo;
+use canopen_node::{
+    Frame, NodeId,
+    lss::{Address, AddressPart, REQUEST_COB_ID, RESPONSE_COB_ID, Request},
+};
+use lss_master::{Find, Identify, InquireAddress, InquireNodeId, SelectAlone};
 
 use crate::{
-    address::{self, id_text},
-    arguments::Target,
+    address::{self, Assigned, Which, id_text},
+    arguments::{Ranges, Target},
     failure::Failure,
-    session::Session,
+    network::{
+        board::{Gift, RESET_COMMUNICATION, configure, give, take_effect},
+        nodes, rows, scan,
+    },
+    recorder,
+    session::{GLANCE, Session},
 };
+
+/// How long the board shows itself if there is nobody to press Enter.
+const ALONE: Duration = Duration::from_secs(10);
 
 /// Prints the LSS address and the node-ID of a board.
 pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure> {
@@ -25,6 +37,186 @@ pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure>
     writeln!(session.out, "serial number    {serial_number:08X}h = {serial_number}")?;
     writeln!(session.out, "node-ID          {}", id_text(node_id))?;
     writeln!(session.out, "bit rate         {}", session.bus.rate())?;
+    Ok(())
+}
+
+/// Makes a node-ID pending, and says when it takes effect. With `stores`, it stays after a power cut. With `resets`, it
+/// takes effect at once on a board that has another node-ID.
+pub fn set_id(
+    session: &mut Session<'_>,
+    Assigned(id): Assigned,
+    target: Target,
+    stores: bool,
+    resets: bool,
+) -> Result<(), Failure> {
+    let address = choose(session, target)?;
+    let before = session.carry_out(InquireNodeId)?;
+    if let Some(id) = id
+        && before != Some(id)
+        && is_taken(session, id)?
+    {
+        return Err(Failure::Refused(format!(
+            "another node has the node-ID {}: two with one node-ID disturb each other. Nothing was changed",
+            id.get()
+        )));
+    }
+    let gift = Gift { address, before, to: id, rate: None };
+    let takes_effect = before != id && (before.is_none() || resets);
+    let outcome = match stores && takes_effect {
+        true => give(session, gift).map(drop),
+        false => session.uninterrupted(|session| {
+            configure(session, gift, stores)?;
+            session.bus.request(Request::SwitchToWaiting)?;
+            match takes_effect {
+                true => take_effect(session, gift, RESET_COMMUNICATION).map(drop),
+                false => Ok(()),
+            }
+        }),
+    };
+    let board = format!("board {}", address::text(&address));
+    outcome.map_err(|failure| match failure {
+        Failure::Refused(why) => Failure::Refused(format!("{board}: {why}")),
+        failure => failure,
+    })?;
+    let kept = if stores { ", stored" } else { ", until a power cut: `lss store` keeps it" };
+    if let (Some(before), false) = (before.filter(|_| before != id), takes_effect) {
+        let (before, id) = (before.get(), id_text(id));
+        writeln!(
+            session.out,
+            "{board}: node-ID {before}, and {id} from NMT reset communication on (--reset){kept}"
+        )?;
+        return Ok(());
+    }
+    writeln!(session.out, "{board}: node-ID {}{kept}", id_text(id))?;
+    Ok(session.bus.check_interrupt()?)
+}
+
+/// Whether a node answers with this node-ID, or sends of its own accord. Reads object 1000h, which every node has.
+fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+    let cob_id = u16::from(id.get());
+    session.bus.send_to(0x600 + cob_id, &sdo::read_request(0x1000, 0))?;
+    let wait = session.bus.short();
+    let answer = session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + cob_id)?;
+    Ok(answer.is_some() || session.bus.states.contains_key(&id.get()))
+}
+
+/// Stores the pending node-ID and bit rate of a board.
+pub fn store(session: &mut Session<'_>, target: Target) -> Result<(), Failure> {
+    let address = choose(session, target)?;
+    session.carry_out(Request::StoreConfiguration)?;
+    writeln!(session.out, "board {}: node-ID and bit rate stored", address::text(&address))?;
+    Ok(())
+}
+
+/// Keeps a board in LSS configuration state, in which both LEDs flicker in turn (CiA 303-3).
+pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
+    let address = match which {
+        Which::Address(address) => address,
+        Which::Node(id) => address_of(session, id)?,
+    };
+    choose(session, Target { address: Some(address) })?;
+    let id = session.carry_out(InquireNodeId)?;
+    let is_attended = session.person.is_there();
+    let board = match id {
+        Some(id) => format!("node {}", id.get()),
+        None => "board".into(),
+    };
+    let until = match is_attended {
+        true => "until you press Enter",
+        false => "for 10 s",
+    };
+    session.progress.clear();
+    writeln!(
+        session.out,
+        "{board}  {}  both LEDs flicker in turn {until}",
+        address::text(&address)
+    )?;
+    if id.is_none() {
+        writeln!(
+            session.out,
+            "it has no node-ID: all boards of this repository without one flicker. `lss assign` gives it one first"
+        )?;
+    }
+    session.out.flush()?;
+    let Session { bus, person, .. } = session;
+    if is_attended {
+        person.answer(|| bus.pass(GLANCE).map(|()| true))?;
+    } else {
+        bus.pass(ALONE)?;
+    }
+    Ok(())
+}
+
+/// The LSS address of the only node with this node-ID.
+fn address_of(session: &mut Session<'_>, id: NodeId) -> Result<Address, Failure> {
+    let id = id.get();
+    let numbers = nodes::serial_numbers(session, id)?;
+    if numbers.is_empty() {
+        return Err(Failure::NoAnswer(format!(
+            "node {id} does not answer at {}. `lss list` shows who is there",
+            session.bus.rate()
+        )));
+    }
+    let rows = rows::node(session, id, &numbers)?;
+    match &rows[..] {
+        [row] => row.lss_address.ok_or_else(|| {
+            Failure::Refused(format!("node {id} does not tell its LSS address by object 1018h"))
+        }),
+        _ => Err(Failure::Refused(format!(
+            "{} boards have node-ID {id}: `lss blink` with the LSS address of one, which `lss list` shows",
+            rows.len()
+        ))),
+    }
+}
+
+/// Says whether a board is within the ranges, or which ones are.
+pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failure> {
+    let mut within = Identify {
+        vendor_id: ranges.vendor,
+        product_code: ranges.product,
+        revision_numbers: ranges.revision.clone(),
+        serial_numbers: ranges.serial.clone(),
+    };
+    if !session.carry_out(within.clone())? {
+        return Err(Failure::NoAnswer(format!(
+            "no board within these ranges answers at {}. Is the bit rate right (--bit-rate)? Some slaves do not support \
+             identify remote slave",
+            session.bus.rate()
+        )));
+    }
+    if !ranges.each {
+        writeln!(session.out, "a board within these ranges answers")?;
+        return Ok(());
+    }
+    let mut count = 0;
+    loop {
+        session.progress.say(|| format!("{count} boards found"));
+        let Some(found) = session.carry_out(Find::new(within.clone()))? else { return Ok(()) };
+        writeln!(session.out, "{}", address::text(&found))?;
+        count += 1;
+        scan::check_count(count, "identify remote slave")?;
+        let Some(next) = found.serial_number.checked_add(1) else { return Ok(()) };
+        within.serial_numbers = next..=*within.serial_numbers.end();
+        if within.serial_numbers.is_empty() {
+            return Ok(());
+        }
+    }
+}
+
+/// Sends a request and prints it and each answer, with their meaning.
+pub fn raw(session: &mut Session<'_>, bytes: &[u8]) -> Result<(), Failure> {
+    let mut data = [0; 8];
+    for (to, from) in data.iter_mut().zip(bytes) {
+        *to = *from;
+    }
+    let Some(request) = Frame::new(REQUEST_COB_ID, &data) else { return Ok(()) };
+    writeln!(session.out, "{}", recorder::words(&request))?;
+    session.bus.send(&request)?;
+    let patience = session.bus.patience();
+    let is_answer = |frame: &Frame| frame.cob_id() == RESPONSE_COB_ID;
+    while let Some(answer) = session.bus.wait_for(patience, is_answer)? {
+        writeln!(session.out, "{}", recorder::words(&answer.frame))?;
+    }
     Ok(())
 }
 
@@ -64,7 +256,7 @@ fn only(session: &mut Session<'_>) -> Result<Address, Failure> {
 fn all_answers(session: &mut Session<'_>, part: AddressPart) -> Result<Vec<u32>, Failure> {
     let request = Request::Inquire(part);
     let [specifier, ..] = request.to_bytes();
-    let is_answer = |frame: &canopen_node::Frame| {
+    let is_answer = |frame: &Frame| {
         frame.cob_id() == RESPONSE_COB_ID && frame.data().first() == Some(&specifier)
     };
     session.bus.request(request)?;
