@@ -1,7 +1,7 @@
 //! The commands.
 
 mod apply;
-pub mod assign;
+mod assign;
 mod find;
 mod list;
 mod one_board;

@@ -4,6 +4,7 @@ pub mod dcf;
 pub mod differences;
 pub mod files;
 pub mod found;
+pub mod new_boards;
 pub mod node_ids;
 pub mod replacement;
 pub mod sheet;

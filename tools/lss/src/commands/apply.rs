@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, NodeId};
 
 use crate::{
     address,
@@ -17,7 +17,8 @@ use crate::{
         differences::{Plan, counted, print_unknown},
         files::Network,
         found::{self, Found, Values},
-        node_ids, values,
+        node_ids::{Fate, NodeIds},
+        values,
     },
     session::Session,
 };
@@ -129,8 +130,8 @@ fn work(
     let before: Vec<_> =
         found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
     let rate = network.bit_rate.filter(|rate| *rate == session.bus.rate());
-    node_ids::assign(session, network, found, rate, stores_again)?;
-    node_ids::unshare(found);
+    give_node_ids(session, network, found, rate, stores_again)?;
+    found.unshare();
     for row in found::late(session, found)? {
         print_unknown(&mut *session.out, &row)?;
     }
@@ -185,6 +186,36 @@ fn work(
         }
     }
     Ok(problems)
+}
+
+/// Gives each board of the files its node-ID, and lets it store the bit `rate`, too, if it is known.
+fn give_node_ids(
+    session: &mut Session<'_>,
+    network: &Network,
+    found: &mut Found,
+    rate: Option<BitRate>,
+    stores_again: bool,
+) -> Result<(), Failure> {
+    let Found { nodes, places, unknown, problems, .. } = found;
+    let mut node_ids = NodeIds::new(session, nodes, places.iter().flatten(), rate);
+    unknown.iter().filter_map(|row| row.node_id).for_each(|id| node_ids.note(id));
+    let ids: Vec<NodeId> = network.nodes.iter().map(|node| node.id).collect();
+    node_ids.give_all(session, &ids, places, stores_again, |_, number, address, fate| {
+        let words = network.nodes[number].words();
+        match fate {
+            Fate::Given { .. } => {}
+            Fate::Taken => problems.push(format!(
+                "{words}: another board has node-ID {}. Give it another one: lss set-id ID --reset --store --address \
+                 V:P:R:S",
+                ids[number].get()
+            )),
+            Fate::Failed(why) => problems.push(format!(
+                "{words}: {why}. Board {}: is it still there, and not locked while NMT operational? A further run goes on",
+                address::text(&address)
+            )),
+        }
+        Ok(())
+    })
 }
 
 fn write_dcfs(

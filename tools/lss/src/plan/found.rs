@@ -1,5 +1,7 @@
 //! The found state of a network: which board is where, and which values it has.
 
+use std::collections::BTreeSet;
+
 use can_bus::{eds, sdo};
 use canopen_node::{
     BitRate, NodeId,
@@ -13,7 +15,8 @@ use crate::{
     failure::Failure,
     network::{
         board::{self, Search},
-        nodes, rate,
+        nodes::{self, Nodes},
+        rate,
         rows::{self, Row},
     },
     session::{DEFAULT_RATE, Session},
@@ -30,6 +33,8 @@ pub struct Place {
 
 /// The boards on the bus.
 pub struct Found {
+    /// The nodes that answer.
+    pub nodes: Nodes,
     /// By the number of the node in the files; `None` if it is missing.
     pub places: Vec<Option<Place>>,
     /// Boards that no file names.
@@ -80,6 +85,40 @@ fn open_at_its_rate(
     Ok(())
 }
 
+/// Finds these boards: at the node-IDs that they are to have, of which the `known` are, by their rows, which it takes out,
+/// or by LSS. What fails with one board alone is in words; one that is missing has no place.
+pub fn places(
+    session: &mut Session<'_>,
+    boards: &[(NodeId, Address)],
+    known: &BTreeSet<u8>,
+    rows: &mut Vec<Row>,
+) -> Result<Vec<Result<Option<Place>, String>>, Failure> {
+    let mut search = Search::default();
+    let mut places = Vec::new();
+    for &(id, address) in boards {
+        session.progress.say(|| format!("looking for node {}", id.get()));
+        let row = rows.iter().position(|row| row.lss_address == Some(address));
+        let place = match row.map(|row| rows.remove(row)) {
+            _ if known.contains(&id.get()) => {
+                Ok(Some(Place { address, id: Some(id), is_shared: false }))
+            }
+            Some(row) => Ok(place_of(&row)),
+            // It has no node-ID, or is stopped, or does not tell its LSS address by SDO.
+            None => select(session, &mut search, address),
+        };
+        if let Ok(Some(Place { id: Some(id), .. })) = place {
+            let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
+            rows.retain(|row| !is_it(row));
+        }
+        places.push(match place {
+            Ok(place) => Ok(place),
+            Err(failure) => Err(failure.of_board()?),
+        });
+    }
+    session.bus.request(Request::SwitchToWaiting)?;
+    Ok(places)
+}
+
 /// Finds the boards of the files, and all others. All boards are in LSS waiting state then.
 ///
 /// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`),
@@ -90,54 +129,61 @@ pub fn boards(
     is_plan: bool,
 ) -> Result<Found, Failure> {
     let nodes = nodes::nodes(session)?;
-    let mut unknown = rows::of(session, nodes)?;
-    let problems = rows::twins(&unknown);
-    let mut places = vec![None; network.nodes.len()];
-    let mut search = Search::default();
-    for (node, place) in network.nodes.iter().zip(&mut places) {
-        let Board::Address(address) = node.board else { continue };
-        session.progress.say(|| format!("looking for {}", node.words()));
-        let row = unknown.iter().position(|row| row.lss_address == Some(address));
-        *place = match row.map(|row| unknown.remove(row)) {
-            Some(row) => place_of(&row),
-            // It has no node-ID, or is stopped, or does not tell its LSS address by SDO.
-            None => select(session, &mut search, address)?,
+    let address = |node: &Node| match node.board {
+        Board::Address(address) => Some((node.id, address)),
+        Board::Kind { .. } => None,
+    };
+    let entries: Vec<(NodeId, Address)> = network.nodes.iter().filter_map(address).collect();
+    let known = nodes::known(session, &entries, &nodes)?;
+    let rest = nodes.iter().filter(|(id, _)| !known.contains(id));
+    let rest = rest.map(|(id, numbers)| (*id, numbers.clone())).collect();
+    let mut unknown = rows::of(session, rest)?;
+    let mut problems = rows::twins(&unknown);
+    let mut of_entries = places(session, &entries, &known, &mut unknown)?.into_iter();
+    let mut places = Vec::new();
+    let mut missing = Vec::new();
+    for node in &network.nodes {
+        let place = match address(node) {
+            Some((_, address)) => match of_entries.next() {
+                Some(Ok(Some(place))) => Some(place),
+                Some(Err(why)) => {
+                    problems.push(format!("{}: {why}", node.words()));
+                    None
+                }
+                Some(Ok(None)) | None => {
+                    missing.push((node, address));
+                    None
+                }
+            },
+            None => None,
         };
-        if let Some(Place { id: Some(id), .. }) = place {
-            let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
-            unknown.retain(|row| !is_it(row));
-        }
+        places.push(place);
     }
-    session.bus.request(Request::SwitchToWaiting)?;
     let is_blank = |place: &Option<Place>| place.is_some_and(|place| place.id.is_none());
-    let is_clear =
-        |node: &Node| matches!(node.board, Board::Address(_)) || only(node, &unknown).is_ok();
+    let is_clear = |node: &Node| address(node).is_some() || only(node, &unknown).is_ok();
     let is_scanned = is_plan || !places.iter().any(is_blank) || !network.nodes.iter().all(is_clear);
     if is_scanned {
         unknown.extend(others(session, &places)?);
     }
-    let mut found = Found { places, unknown, is_scanned, problems };
-    for (node, place) in network.nodes.iter().zip(&mut found.places) {
-        match node.board {
-            Board::Kind { .. } => match only(node, &found.unknown) {
-                Ok(row) => *place = place_of(&found.unknown.remove(row)),
-                Err(why) => found.problems.push(why),
-            },
-            Board::Address(address) if place.is_none() => {
-                let is_it = |other| {
-                    Address { revision_number: address.revision_number, ..other } == address
-                };
-                found.problems.push(format!(
-                    "{} is missing: {}. {}",
-                    node.words(),
-                    address::text(&address),
-                    other_revision(&found.unknown, is_it)
-                ));
+    for (node, place) in network.nodes.iter().zip(&mut places) {
+        if address(node).is_none() {
+            match only(node, &unknown) {
+                Ok(row) => *place = place_of(&unknown.remove(row)),
+                Err(why) => problems.push(why),
             }
-            Board::Address(_) => {}
         }
     }
-    Ok(found)
+    for (node, address) in missing {
+        let is_it =
+            |other| Address { revision_number: address.revision_number, ..other } == address;
+        problems.push(format!(
+            "{} is missing: {}. {}",
+            node.words(),
+            address::text(&address),
+            other_revision(&unknown, is_it)
+        ));
+    }
+    Ok(Found { nodes, places, unknown, is_scanned, problems })
 }
 
 /// The boards without a node-ID that no file names, if they have not been looked for before.
@@ -160,6 +206,19 @@ fn others(session: &mut Session<'_>, places: &[Option<Place>]) -> Result<Vec<Row
         None => !has_blank,
     });
     Ok(rows)
+}
+
+impl Found {
+    /// The places of boards that share a node-ID with another are known to be alone after a further look.
+    pub fn unshare(&mut self) {
+        let places: Vec<Place> = self.places.iter().flatten().copied().collect();
+        let unknown: Vec<u8> = self.unknown.iter().filter_map(|row| row.node_id).collect();
+        for place in self.places.iter_mut().flatten() {
+            let Some(id) = place.id else { continue };
+            let count = places.iter().filter(|other| other.id == Some(id)).count();
+            place.is_shared = count > 1 || unknown.contains(&id.get());
+        }
+    }
 }
 
 /// What to do if a board is missing: one that `is_it` but for its revision number may be there.

@@ -1,151 +1,177 @@
-//! The node-IDs of a plan in an order in which no two boards ever have the same one, also after a power cut in between.
+//! Who has which node-ID, and how boards get theirs: in an order in which no two boards ever have the same one, also after
+//! a power cut in between.
 
 use std::collections::BTreeMap;
 
 use canopen_node::{BitRate, NodeId, lss::Address};
 use lss_master::SelectAlone;
 
-use super::{
-    files::Network,
-    found::{Found, Place},
-};
+use super::found::Place;
 use crate::{
-    address::{self, id_text},
+    address::id_text,
     failure::Failure,
-    network::board::{self, Gift},
+    network::{
+        board::{self, Gift},
+        nodes::Nodes,
+    },
     session::Session,
 };
 
-/// How many boards have each node-ID.
-type Taken = BTreeMap<NodeId, usize>;
-
-/// Gives each board of the plan its node-ID, and stores it: with `stores_again` also those that have it. They store
-/// the bit `rate` of the network, too, if it is known. The places follow; what cannot be done is among the problems of
-/// `found`.
-pub fn assign(
-    session: &mut Session<'_>,
-    network: &Network,
-    found: &mut Found,
+/// The node-IDs of a network.
+pub struct NodeIds {
+    /// How many boards have each of them, or may have it.
+    taken: BTreeMap<u8, usize>,
+    /// The bit rate that boards store with their node-ID, if it is known.
     rate: Option<BitRate>,
-    stores_again: bool,
-) -> Result<(), Failure> {
-    let mut taken = Taken::new();
-    let unknown = found.unknown.iter().filter_map(|row| NodeId::new(row.node_id?));
-    for id in found.places.iter().flatten().filter_map(|place| place.id).chain(unknown) {
-        *taken.entry(id).or_default() += 1;
-    }
-    let is_waiting = |number: &usize, found: &Found| {
-        let place = &found.places[*number];
-        place.is_some_and(|place| stores_again || place.id != Some(network.nodes[*number].id))
-    };
-    let mut waiting: Vec<usize> =
-        (0..network.nodes.len()).filter(|number| is_waiting(number, found)).collect();
-    let wanted = |number: usize| network.nodes[number].id;
-    while !waiting.is_empty() {
-        let is_possible = |number: &usize| {
-            let has_it =
-                found.places[*number].is_some_and(|place| place.id == Some(wanted(*number)));
-            has_it || !taken.contains_key(&wanted(*number))
-        };
-        // In a circle one board gives its node-ID up, and is without one for a while.
-        let (number, to) = match waiting.iter().position(is_possible) {
-            Some(next) => {
-                let number = waiting.remove(next);
-                (number, Some(wanted(number)))
+}
+
+/// What became of a board that was to get a node-ID.
+pub enum Fate {
+    /// It has stored it, and sends a boot-up message or does not.
+    Given { boots: bool },
+    /// Another board has it.
+    Taken,
+    /// Why it failed with this board alone, in words.
+    Failed(String),
+}
+
+impl NodeIds {
+    /// Those of the nodes that answer, of boards at these places, and of nodes that were heard.
+    pub fn new<'a>(
+        session: &Session<'_>,
+        nodes: &Nodes,
+        places: impl IntoIterator<Item = &'a Place>,
+        rate: Option<BitRate>,
+    ) -> Self {
+        let taken = nodes.iter().map(|(id, numbers)| (*id, numbers.len())).collect();
+        let mut node_ids = Self { taken, rate };
+        for Place { address, id, .. } in places {
+            let Some(id) = id else { continue };
+            let is_it = |number: &u32| [0, address.serial_number].contains(number);
+            // One that does not answer to SDO is not among the nodes.
+            if !nodes.get(&id.get()).is_some_and(|numbers| numbers.iter().any(is_it)) {
+                *node_ids.taken.entry(id.get()).or_default() += 1;
             }
-            None => {
-                let in_the_way = |number: &&usize| {
-                    let id = found.places[**number].and_then(|place| place.id);
-                    waiting.iter().any(|other| id == Some(wanted(*other)))
-                };
-                match waiting.iter().find(in_the_way) {
+        }
+        node_ids.note_heard(session);
+        node_ids
+    }
+
+    /// Takes note of a node-ID that somebody has.
+    pub fn note(&mut self, id: u8) {
+        self.taken.entry(id).or_insert(1);
+    }
+
+    /// Takes note of the nodes that send a heartbeat.
+    pub fn note_heard(&mut self, session: &Session<'_>) {
+        session.bus.states.keys().for_each(|id| self.note(*id));
+    }
+
+    pub fn is_taken(&self, id: NodeId) -> bool {
+        self.taken.contains_key(&id.get())
+    }
+
+    /// Gives the board in LSS configuration state a node-ID. Returns whether it sends a boot-up message. The node-ID
+    /// counts as taken if this fails, too: the board may take it later.
+    pub fn give(
+        &mut self,
+        session: &mut Session<'_>,
+        address: Address,
+        before: Option<NodeId>,
+        to: Option<NodeId>,
+    ) -> Result<bool, Failure> {
+        if let Some(to) = to {
+            *self.taken.entry(to.get()).or_default() += 1;
+        }
+        let boots = board::give(session, Gift { address, before, to, rate: self.rate })?;
+        if let Some(count) = before.and_then(|before| self.taken.get_mut(&before.get())) {
+            *count -= 1;
+        }
+        self.taken.retain(|_, count| *count > 0);
+        Ok(boots)
+    }
+
+    /// Gives the boards at these places their node-IDs; with `stores_again`, those that have theirs store them. The places
+    /// follow, and `tell` gets the number of each board and what became of it. A board that fails has no place any more.
+    pub fn give_all(
+        &mut self,
+        session: &mut Session<'_>,
+        ids: &[NodeId],
+        places: &mut [Option<Place>],
+        stores_again: bool,
+        mut tell: impl FnMut(&mut Session<'_>, usize, Address, Fate) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let is_due = |place: Place, id| stores_again || place.id != Some(id);
+        let mut waiting: Vec<usize> = (0..ids.len())
+            .filter(|number| places[*number].is_some_and(|place| is_due(place, ids[*number])))
+            .collect();
+        loop {
+            let has = |number: usize| places[number].and_then(|place| place.id);
+            let is_possible =
+                |number: &usize| has(*number) == Some(ids[*number]) || !self.is_taken(ids[*number]);
+            let is_in_the_way =
+                |number: &&usize| waiting.iter().any(|other| has(**number) == Some(ids[*other]));
+            let (number, to) = match waiting.iter().position(is_possible) {
+                Some(next) => {
+                    let number = waiting.remove(next);
+                    (number, Some(ids[number]))
+                }
+                // In a circle one board gives its node-ID up, and is without one for a while.
+                None => match waiting.iter().find(is_in_the_way) {
                     Some(number) => (*number, None),
                     None => break,
+                },
+            };
+            let Some(place) = &mut places[number] else { continue };
+            let address = place.address;
+            session.progress.say(|| format!("node {}: node-ID {}", ids[number].get(), id_text(to)));
+            let outcome = match place.id == to {
+                true => self.store_again(session, place),
+                false => self.move_to(session, place, to),
+            };
+            match outcome {
+                Ok(boots) if to.is_some() => tell(session, number, address, Fate::Given { boots })?,
+                Ok(_) => {}
+                Err(failure) => {
+                    let why = failure.of_board()?;
+                    waiting.retain(|other| *other != number);
+                    // Its state is not known, so nothing else is done with it.
+                    places[number] = None;
+                    tell(session, number, address, Fate::Failed(why))?;
                 }
             }
-        };
-        let node = &network.nodes[number];
-        session.progress.say(|| format!("{}: node-ID {}", node.words(), id_text(to)));
-        let Some(place) = &mut found.places[number] else { continue };
-        let before = place.id;
-        match give(session, place.address, before, to, rate, &taken) {
-            Ok(id) => {
-                place.id = id;
-                place.is_shared = false;
-                move_id(&mut taken, before, id);
-            }
-            Err(failure @ Failure::Stop(_)) => return Err(failure),
-            Err(failure) => {
-                found.problems.push(format!("{}: {failure}", node.words()));
-                // It may have taken it.
-                move_id(&mut taken, None, to);
-                waiting.retain(|other| *other != number);
-                // Its state is not known, so nothing else is done with it.
-                found.places[number] = None;
+        }
+        for number in waiting {
+            if let Some(place) = places[number] {
+                tell(session, number, place.address, Fate::Taken)?;
             }
         }
+        Ok(())
     }
-    for number in waiting {
-        let id = wanted(number).get();
-        found.problems.push(format!(
-            "{}: another board has node-ID {id}. Give it another one: lss set-id ID --reset --store --address V:P:R:S",
-            network.nodes[number].words()
-        ));
-    }
-    Ok(())
-}
 
-fn move_id(taken: &mut Taken, from: Option<NodeId>, to: Option<NodeId>) {
-    if let Some(from) = from {
-        let count = taken.remove(&from).unwrap_or(0);
-        if count > 1 {
-            taken.insert(from, count - 1);
+    fn store_again(&self, session: &mut Session<'_>, place: &Place) -> Result<bool, Failure> {
+        let &Place { address, id, .. } = place;
+        session.carry_out(SelectAlone::new(address))?;
+        board::store_again(session, Gift { address, before: id, to: id, rate: self.rate })?;
+        Ok(true)
+    }
+
+    /// Gives a board another node-ID. One that is to have none and refuses that gets one that nobody has.
+    fn move_to(
+        &mut self,
+        session: &mut Session<'_>,
+        place: &mut Place,
+        mut to: Option<NodeId>,
+    ) -> Result<bool, Failure> {
+        session.carry_out(SelectAlone::new(place.address))?;
+        let mut outcome = self.give(session, place.address, place.id, to);
+        if to.is_none() && matches!(outcome, Err(Failure::Refused(_))) {
+            to = (1..=127).rev().filter_map(NodeId::new).find(|id| !self.is_taken(*id));
+            session.carry_out(SelectAlone::new(place.address))?;
+            outcome = self.give(session, place.address, place.id, to);
         }
-    }
-    if let Some(to) = to {
-        *taken.entry(to).or_default() += 1;
-    }
-}
-
-/// Gives a node-ID to a board; returns it. A board that is to have none and refuses that gets one that nobody has.
-fn give(
-    session: &mut Session<'_>,
-    address: Address,
-    before: Option<NodeId>,
-    to: Option<NodeId>,
-    rate: Option<BitRate>,
-    taken: &Taken,
-) -> Result<Option<NodeId>, Failure> {
-    let mut gift = Gift { address, before, to, rate };
-    let mut outcome = select_and_give(session, gift);
-    if to.is_none() && matches!(outcome, Err(Failure::Refused(_))) {
-        gift.to = (1..=127).rev().filter_map(NodeId::new).find(|id| !taken.contains_key(id));
-        outcome = select_and_give(session, gift);
-    }
-    outcome.map(|()| gift.to).map_err(|failure| match failure {
-        Failure::NoAnswer(why) | Failure::Refused(why) => Failure::Refused(format!(
-            "{why}. Board {}: is it still there, and not locked while NMT operational? A further run goes on",
-            address::text(&address)
-        )),
-        failure => failure,
-    })
-}
-
-fn select_and_give(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure> {
-    session.carry_out(SelectAlone::new(gift.address))?;
-    match gift.before == gift.to {
-        true => board::store_again(session, gift),
-        false => board::give(session, gift).map(drop),
-    }
-}
-
-/// The places of boards that share a node-ID with another are known to be alone after a further look.
-pub fn unshare(found: &mut Found) {
-    let places: Vec<Place> = found.places.iter().flatten().copied().collect();
-    let unknown: Vec<u8> = found.unknown.iter().filter_map(|row| row.node_id).collect();
-    for place in found.places.iter_mut().flatten() {
-        let Some(id) = place.id else { continue };
-        let count = places.iter().filter(|other| other.id == Some(id)).count();
-        place.is_shared = count > 1 || unknown.contains(&id.get());
+        let boots = outcome?;
+        *place = Place { id: to, is_shared: false, ..*place };
+        Ok(boots)
     }
 }

@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use can_bus::person;
 use canopen_node::{NodeId, lss::Address};
 
-use crate::{address, commands::assign::Work, failure::Failure, network::rows, session::Session};
+use super::new_boards::Work;
+use crate::{address, failure::Failure, network::rows, session::Session};
 
 /// A board of the table, or a new one.
 type Board = (NodeId, Address);
@@ -26,7 +27,7 @@ pub fn replace(
         let places: Vec<Board> = places.copied().collect();
         let boards: Vec<Address> = new.iter().copied().filter(|new| product(new) == one).collect();
         match (&places[..], &boards[..]) {
-            (places, []) => work.problems.extend(places.iter().map(is_missing)),
+            (places, []) => work.done.problems.extend(places.iter().map(is_missing)),
             ([place], [board]) if is_agreed => take_over(session, work, *place, *board)?,
             ([place], [board]) if session.person.is_there() => {
                 let question = format!(
@@ -39,7 +40,7 @@ pub fn replace(
                 let answer = session.ask(&question)?;
                 match answer.is_some_and(|answer| person::is_yes(&answer)) {
                     true => take_over(session, work, *place, *board)?,
-                    false => work.problems.push(is_missing(place)),
+                    false => work.done.problems.push(is_missing(place)),
                 }
             }
             ([place], [board]) => {
@@ -50,15 +51,15 @@ pub fn replace(
                     address::text(board),
                     place.0.get()
                 );
-                work.hold(*board, why);
+                work.done.hold(*board, why);
             }
             (places, boards) if session.person.is_there() => {
                 choose(session, work, places, boards.to_vec())?;
             }
             (places, boards) => {
-                work.problems.extend(places.iter().map(is_missing));
-                work.problems.push(several(places, boards));
-                work.held.extend(boards);
+                work.done.problems.extend(places.iter().map(is_missing));
+                work.done.problems.push(several(places, boards));
+                work.done.held.extend(boards);
             }
         }
     }
@@ -104,7 +105,7 @@ fn choose(
         let number: Option<usize> = answer.and_then(|answer| answer.parse().ok());
         match number.and_then(|number| number.checked_sub(1)).filter(|at| *at < boards.len()) {
             Some(at) => take_over(session, work, *place, boards.remove(at))?,
-            None => work.problems.push(is_missing(place)),
+            None => work.done.problems.push(is_missing(place)),
         }
     }
     Ok(())
@@ -132,12 +133,12 @@ fn take_over(
 ) -> Result<(), Failure> {
     let Some(before) = work.select(session, board)? else { return Ok(()) };
     let text = address::text(&board);
-    if before != Some(id) && work.taken.contains(&id.get()) {
+    if before != Some(id) && work.node_ids.is_taken(id) {
         let why = format!(
             "board {text} cannot take over node-ID {}, which another board has: give that another one (lss set-id)",
             id.get()
         );
-        work.hold(board, why);
+        work.done.hold(board, why);
         return Ok(());
     }
     let table = work.table.as_ref();
