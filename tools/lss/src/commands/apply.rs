@@ -196,9 +196,8 @@ fn give_node_ids(
     rate: Option<BitRate>,
     stores_again: bool,
 ) -> Result<(), Failure> {
-    let Found { nodes, places, unknown, problems, .. } = found;
-    let mut node_ids = NodeIds::new(session, nodes, places.iter().flatten(), rate);
-    unknown.iter().filter_map(|row| row.node_id).for_each(|id| node_ids.note(id));
+    let mut node_ids = NodeIds::new(session, found, rate);
+    let Found { places, problems, .. } = found;
     let ids: Vec<NodeId> = network.nodes.iter().map(|node| node.id).collect();
     node_ids.give_all(session, &ids, places, stores_again, |_, number, address, fate| {
         let words = network.nodes[number].words();

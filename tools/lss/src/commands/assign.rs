@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeSet, time::Duration};
 
-use canopen_node::Frame;
+use canopen_node::{Frame, NodeId, lss::Address};
 
 use crate::{
     address,
@@ -11,9 +11,9 @@ use crate::{
     failure::Failure,
     network::{board, nodes, rows, scan},
     plan::{
-        found,
+        found::{self, Absent, Found, Place},
         new_boards::{Done, Work},
-        node_ids::NodeIds,
+        node_ids::{Fate, NodeIds},
         replacement::replace,
         table::Table,
     },
@@ -33,9 +33,14 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
     board::ask_for_rest(session)?;
     let nodes = nodes::nodes(session)?;
     board::take_back_rest(session)?;
-    let node_ids = NodeIds::new(session, &nodes, [], None);
+    // Those that are not plugged in yet are not missing.
+    let entries =
+        table.iter().filter(|_| !arguments.one_at_a_time).flat_map(|table| &table.entries);
+    let boards: Vec<_> = entries.map(|(id, address)| (*id, Some(*address))).collect();
+    let (found, absent) = found::places(session, nodes, &boards)?;
+    let node_ids = NodeIds::new(session, &found, None);
     let mut work = Work { first: arguments.first, table, node_ids, done: Done::default() };
-    match carry_out(session, &mut work, nodes, arguments) {
+    match carry_out(session, &mut work, found, absent, arguments) {
         Ok(()) => {}
         Err(failure) if work.done.problems.is_empty() => return Err(failure),
         Err(failure) => match failure.of_board() {
@@ -55,14 +60,18 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
 fn carry_out(
     session: &mut Session<'_>,
     work: &mut Work,
-    nodes: nodes::Nodes,
+    mut found: Found,
+    absent: Absent,
     arguments: &Assign,
 ) -> Result<(), Failure> {
-    let is_shared = nodes.values().any(|numbers| numbers.len() > 1);
+    let is_shared = found.nodes.values().any(|numbers| numbers.len() > 1);
     match arguments.one_at_a_time {
         true => one_at_a_time(session, work)?,
         false => {
-            of_the_table(session, work, nodes, arguments.yes)?;
+            let missing = of_the_table(session, work, &mut found.places, absent)?;
+            if !missing.is_empty() {
+                replace(session, work, &missing, found.unknown, arguments.yes)?;
+            }
             work.give_blank(session)?;
         }
     }
@@ -80,50 +89,36 @@ fn carry_out(
     Ok(())
 }
 
-/// Gives the boards of the table their node-IDs.
+/// Gives the boards of the table their node-IDs; returns the missing ones.
 fn of_the_table(
     session: &mut Session<'_>,
     work: &mut Work,
-    nodes: nodes::Nodes,
-    is_agreed: bool,
-) -> Result<(), Failure> {
+    places: &mut [Option<Place>],
+    absent: Absent,
+) -> Result<Vec<(NodeId, Address)>, Failure> {
     let entries = work.entries();
-    let known = nodes::known(session, &entries, &nodes)?;
-    let mut missing = Vec::new();
-    let mut places = Vec::new();
-    for (place, entry) in
-        found::places(session, &entries, &known, &mut Vec::new())?.into_iter().zip(&entries)
+    session.progress.clear();
+    for ((id, address), _) in entries
+        .iter()
+        .zip(&*places)
+        .filter(|((id, _), place)| place.is_some_and(|place| place.id == Some(*id)))
     {
-        let (id, address) = *entry;
-        let text = address::text(&address);
-        places.push(match place {
-            Ok(Some(place)) => {
-                if place.id == Some(id) {
-                    session.progress.clear();
-                    writeln!(session.out, "node {}  {text}  as in the table", id.get())?;
-                }
-                Some(place)
-            }
-            Ok(None) => {
-                missing.push(*entry);
-                None
-            }
-            Err(why) => {
-                work.done.hold(address, format!("board {text}: {why}"));
-                None
-            }
-        });
+        writeln!(session.out, "node {}  {}  as in the table", id.get(), address::text(address))?;
     }
-    work.node_ids = NodeIds::new(session, &nodes, places.iter().flatten(), None);
-    let ids: Vec<_> = entries.iter().map(|(id, _)| *id).collect();
+    let mut missing = Vec::new();
+    for (number, why) in absent {
+        let (id, address) = entries[number];
+        match why {
+            None => missing.push(entries[number]),
+            Some(why) => work.done.note(session, id, address, Fate::Failed(why))?,
+        }
+    }
+    let ids: Vec<NodeId> = entries.iter().map(|(id, _)| *id).collect();
     let Work { node_ids, done, .. } = work;
-    node_ids.give_all(session, &ids, &mut places, false, |session, number, address, fate| {
+    node_ids.give_all(session, &ids, places, false, |session, number, address, fate| {
         done.note(session, ids[number], address, fate)
     })?;
-    if !missing.is_empty() {
-        replace(session, work, &missing, is_agreed)?;
-    }
-    Ok(())
+    Ok(missing)
 }
 
 /// Gives node-IDs to boards that a person plugs in one after the other, and says which it is.

@@ -60,6 +60,14 @@ pub struct Stamp {
 }
 
 impl Node {
+    /// The LSS address of the board, if that is known.
+    pub fn address(&self) -> Option<Address> {
+        match self.board {
+            Board::Address(address) => Some(address),
+            Board::Kind { .. } => None,
+        }
+    }
+
     /// The words for messages: `node 5 "pump"`.
     pub fn words(&self) -> String {
         let name = self.name.as_ref().map_or_else(String::new, |name| format!(" \"{name}\""));

@@ -1,7 +1,5 @@
 //! The found state of a network: which board is where, and which values it has.
 
-use std::collections::BTreeSet;
-
 use can_bus::{eds, sdo};
 use canopen_node::{
     BitRate, NodeId,
@@ -85,17 +83,26 @@ fn open_at_its_rate(
     Ok(())
 }
 
-/// Finds these boards: at the node-IDs that they are to have, of which the `known` are, by their rows, which it takes out,
-/// or by LSS. What fails with one board alone is in words; one that is missing has no place.
+/// The boards that have no place, by their numbers: they are missing, or something fails with them alone, in words.
+pub type Absent = Vec<(usize, Option<String>)>;
+
+/// Where these boards are, of which each is to have a node-ID, and is named by its LSS address or is looked for later: at
+/// the node-ID, at that which it tells by SDO, or where LSS finds it. All boards are in LSS waiting state then.
 pub fn places(
     session: &mut Session<'_>,
-    boards: &[(NodeId, Address)],
-    known: &BTreeSet<u8>,
-    rows: &mut Vec<Row>,
-) -> Result<Vec<Result<Option<Place>, String>>, Failure> {
+    nodes: Nodes,
+    boards: &[(NodeId, Option<Address>)],
+) -> Result<(Found, Absent), Failure> {
+    let named = boards.iter().filter_map(|(id, address)| Some((*id, (*address)?)));
+    let known = nodes::known(session, &named.collect::<Vec<_>>(), &nodes)?;
+    let mut rest = nodes.clone();
+    rest.retain(|id, _| !boards.is_empty() && !known.contains(id));
+    let mut rows = rows::of(session, rest)?;
+    let problems = rows::twins(&rows);
     let mut search = Search::default();
-    let mut places = Vec::new();
-    for &(id, address) in boards {
+    let (mut places, mut absent) = (vec![None; boards.len()], Vec::new());
+    for (number, &(id, address)) in boards.iter().enumerate() {
+        let Some(address) = address else { continue };
         session.progress.say(|| format!("looking for node {}", id.get()));
         let row = rows.iter().position(|row| row.lss_address == Some(address));
         let place = match row.map(|row| rows.remove(row)) {
@@ -106,20 +113,20 @@ pub fn places(
             // It has no node-ID, or is stopped, or does not tell its LSS address by SDO.
             None => select(session, &mut search, address),
         };
-        if let Ok(Some(Place { id: Some(id), .. })) = place {
-            let is_it = |row: &Row| row.lss_address.is_none() && row.node_id == Some(id.get());
-            rows.retain(|row| !is_it(row));
+        match place {
+            Ok(None) => absent.push((number, None)),
+            Ok(place) => places[number] = place,
+            Err(failure) => absent.push((number, Some(failure.of_board()?))),
         }
-        places.push(match place {
-            Ok(place) => Ok(place),
-            Err(failure) => Err(failure.of_board()?),
-        });
+        if let Some(Place { id: Some(id), .. }) = places[number] {
+            rows.retain(|row| row.lss_address.is_some() || row.node_id != Some(id.get()));
+        }
     }
     session.bus.request(Request::SwitchToWaiting)?;
-    Ok(places)
+    Ok((Found { nodes, places, unknown: rows, is_scanned: false, problems }, absent))
 }
 
-/// Finds the boards of the files, and all others. All boards are in LSS waiting state then.
+/// Finds the boards of the files, and all others.
 ///
 /// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`),
 /// it waits until they have their node-IDs: [`late`].
@@ -129,61 +136,37 @@ pub fn boards(
     is_plan: bool,
 ) -> Result<Found, Failure> {
     let nodes = nodes::nodes(session)?;
-    let address = |node: &Node| match node.board {
-        Board::Address(address) => Some((node.id, address)),
-        Board::Kind { .. } => None,
-    };
-    let entries: Vec<(NodeId, Address)> = network.nodes.iter().filter_map(address).collect();
-    let known = nodes::known(session, &entries, &nodes)?;
-    let rest = nodes.iter().filter(|(id, _)| !known.contains(id));
-    let rest = rest.map(|(id, numbers)| (*id, numbers.clone())).collect();
-    let mut unknown = rows::of(session, rest)?;
-    let mut problems = rows::twins(&unknown);
-    let mut of_entries = places(session, &entries, &known, &mut unknown)?.into_iter();
-    let mut places = Vec::new();
-    let mut missing = Vec::new();
-    for node in &network.nodes {
-        let place = match address(node) {
-            Some((_, address)) => match of_entries.next() {
-                Some(Ok(Some(place))) => Some(place),
-                Some(Err(why)) => {
-                    problems.push(format!("{}: {why}", node.words()));
-                    None
-                }
-                Some(Ok(None)) | None => {
-                    missing.push((node, address));
-                    None
-                }
-            },
-            None => None,
-        };
-        places.push(place);
-    }
+    let boards: Vec<_> = network.nodes.iter().map(|node| (node.id, node.address())).collect();
+    let (mut found, absent) = places(session, nodes, &boards)?;
+    let Found { places, unknown, is_scanned, problems, .. } = &mut found;
     let is_blank = |place: &Option<Place>| place.is_some_and(|place| place.id.is_none());
-    let is_clear = |node: &Node| address(node).is_some() || only(node, &unknown).is_ok();
-    let is_scanned = is_plan || !places.iter().any(is_blank) || !network.nodes.iter().all(is_clear);
-    if is_scanned {
-        unknown.extend(others(session, &places)?);
+    let is_clear = |node: &Node| node.address().is_some() || only(node, unknown).is_ok();
+    *is_scanned = is_plan || !places.iter().any(is_blank) || !network.nodes.iter().all(is_clear);
+    if *is_scanned {
+        unknown.extend(others(session, places)?);
     }
-    for (node, place) in network.nodes.iter().zip(&mut places) {
-        if address(node).is_none() {
-            match only(node, &unknown) {
+    for (node, place) in network.nodes.iter().zip(places) {
+        if node.address().is_none() {
+            match only(node, unknown) {
                 Ok(row) => *place = place_of(&unknown.remove(row)),
                 Err(why) => problems.push(why),
             }
         }
     }
-    for (node, address) in missing {
-        let is_it =
-            |other| Address { revision_number: address.revision_number, ..other } == address;
-        problems.push(format!(
-            "{} is missing: {}. {}",
-            node.words(),
-            address::text(&address),
-            other_revision(&unknown, is_it)
-        ));
+    for (number, why) in absent {
+        let node = &network.nodes[number];
+        let words = node.words();
+        problems.push(match (why, node.address()) {
+            (None, Some(address)) => {
+                let revision_number = address.revision_number;
+                let is_it = |other| Address { revision_number, ..other } == address;
+                let hint = other_revision(unknown, is_it);
+                format!("{words} is missing: {}. {hint}", address::text(&address))
+            }
+            (why, _) => format!("{words}: {}", why.unwrap_or_default()),
+        });
     }
-    Ok(Found { nodes, places, unknown, is_scanned, problems })
+    Ok(found)
 }
 
 /// The boards without a node-ID that no file names, if they have not been looked for before.
@@ -221,7 +204,7 @@ impl Found {
     }
 }
 
-/// What to do if a board is missing: one that `is_it` but for its revision number may be there.
+/// What to do if a board is missing: one that `is_it` but for its revision number may be on the bus.
 fn other_revision(rows: &[Row], is_it: impl Fn(Address) -> bool) -> String {
     let mut boards = rows.iter().filter_map(|row| row.lss_address);
     match boards.find(|address| is_it(*address)) {

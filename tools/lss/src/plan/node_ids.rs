@@ -6,14 +6,11 @@ use std::collections::BTreeMap;
 use canopen_node::{BitRate, NodeId, lss::Address};
 use lss_master::SelectAlone;
 
-use super::found::Place;
+use super::found::{Found, Place};
 use crate::{
     address::id_text,
     failure::Failure,
-    network::{
-        board::{self, Gift},
-        nodes::Nodes,
-    },
+    network::board::{self, Gift},
     session::Session,
 };
 
@@ -36,23 +33,19 @@ pub enum Fate {
 }
 
 impl NodeIds {
-    /// Those of the nodes that answer, of boards at these places, and of nodes that were heard.
-    pub fn new<'a>(
-        session: &Session<'_>,
-        nodes: &Nodes,
-        places: impl IntoIterator<Item = &'a Place>,
-        rate: Option<BitRate>,
-    ) -> Self {
-        let taken = nodes.iter().map(|(id, numbers)| (*id, numbers.len())).collect();
+    /// Those of the boards that were found, and of nodes that were heard.
+    pub fn new(session: &Session<'_>, found: &Found, rate: Option<BitRate>) -> Self {
+        let taken = found.nodes.iter().map(|(id, numbers)| (*id, numbers.len())).collect();
         let mut node_ids = Self { taken, rate };
-        for Place { address, id, .. } in places {
+        for Place { address, id, .. } in found.places.iter().flatten() {
             let Some(id) = id else { continue };
             let is_it = |number: &u32| [0, address.serial_number].contains(number);
             // One that does not answer to SDO is not among the nodes.
-            if !nodes.get(&id.get()).is_some_and(|numbers| numbers.iter().any(is_it)) {
+            if !found.nodes.get(&id.get()).is_some_and(|numbers| numbers.iter().any(is_it)) {
                 *node_ids.taken.entry(id.get()).or_default() += 1;
             }
         }
+        found.unknown.iter().filter_map(|row| row.node_id).for_each(|id| node_ids.note(id));
         node_ids.note_heard(session);
         node_ids
     }

@@ -6,7 +6,12 @@ use can_bus::person;
 use canopen_node::{NodeId, lss::Address};
 
 use super::new_boards::Work;
-use crate::{address, failure::Failure, network::rows, session::Session};
+use crate::{
+    address,
+    failure::Failure,
+    network::rows::{self, Row},
+    session::Session,
+};
 
 /// A board of the table, or a new one.
 type Board = (NodeId, Address);
@@ -17,9 +22,16 @@ pub fn replace(
     session: &mut Session<'_>,
     work: &mut Work,
     missing: &[Board],
+    unknown: Vec<Row>,
     is_agreed: bool,
 ) -> Result<(), Failure> {
-    let new = new_boards(session, &work.entries())?;
+    let table = work.entries();
+    let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
+    let mut new: Vec<Address> = Vec::new();
+    for row in unknown.into_iter().chain(rows::blank(session)?) {
+        new.extend(row.lss_address.filter(|_| row.node_id.is_none_or(is_of_table)));
+    }
+    new.retain(|address| table.iter().all(|(_, known)| known != address));
     let product = |address: &Address| (address.vendor_id, address.product_code);
     let products: BTreeSet<_> = missing.iter().map(|(_, address)| product(address)).collect();
     for one in products {
@@ -113,15 +125,6 @@ fn choose(
 
 fn is_missing((id, address): &Board) -> String {
     format!("node {} of the table is missing: {}", id.get(), address::text(address))
-}
-
-/// The boards that are not in the table, and that have no node-ID or one that the table gives to another.
-fn new_boards(session: &mut Session<'_>, table: &[Board]) -> Result<Vec<Address>, Failure> {
-    let is_known = |address: &Address| table.iter().any(|(_, known)| known == address);
-    let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
-    let rows = rows::rows(session)?.into_iter();
-    let new = rows.filter(|row| row.node_id.is_none_or(is_of_table));
-    Ok(new.filter_map(|row| row.lss_address).filter(|address| !is_known(address)).collect())
 }
 
 /// Gives a board the node-ID of a missing one, and writes it into the table.
