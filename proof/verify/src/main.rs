@@ -2,7 +2,6 @@
 
 mod bench;
 mod chip_variants;
-mod commission;
 mod conformance;
 mod figures;
 mod fuzz;
@@ -33,7 +32,6 @@ struct Arguments {
 enum Command {
     Bench(bench::Arguments),
     ChipVariants(chip_variants::Arguments),
-    Commission(commission::Arguments),
     Conformance(conformance::Arguments),
     Figures(figures::Arguments),
     Fuzz(fuzz::Arguments),
@@ -49,7 +47,6 @@ fn main() -> ExitCode {
     xtask::run(|| match Arguments::parse().command {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::ChipVariants(arguments) => chip_variants::run(&arguments),
-        Command::Commission(arguments) => commission::run(&arguments),
         Command::Conformance(arguments) => conformance::run(&arguments),
         Command::Figures(_) => figures::run(),
         Command::Fuzz(arguments) => fuzz::run(&arguments),

@@ -9,6 +9,7 @@ mod emulated;
 mod find;
 mod foreign;
 mod in_process;
+mod many_boards;
 mod network;
 mod one_at_a_time;
 mod picture;
