@@ -8,6 +8,7 @@
 //!     0 "Brightness in percent" brightness: u8 = 50, rw in 0..=100;
 //! }
 //! # }
+//! # impl canopen_node::Application for Application {}
 //! ```
 //!
 //! `cargo xtask eds` then adds it to the electronic data sheet. [`objects!`] explains the other types, accesses and
@@ -15,15 +16,8 @@
 
 use canopen_node::objects;
 
-/// The number of TPDOs: 0 to 16.
-pub const TPDOS: usize = 0;
-/// The number of RPDOs: 0 to 16.
-pub const RPDOS: usize = 0;
-/// The number of nodes whose heartbeat can be watched: 0 to 16.
-pub const PRODUCERS: usize = 0;
-
 /// The node with the application.
-pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application>;
 
 objects! {
     /// The objects of the product, with their values.

@@ -13,14 +13,14 @@ use panic_probe as _;
 mod app {
     use canopen_stm32f4::{Board, Crystal, Indicators, Storage, Watchdog, board, watchdog::Task};
     use firmware::{
-        application::{Application, Node, PRODUCERS, RPDOS, TPDOS},
+        application::{Application, Node},
         device::{self, DEVICE},
     };
     use stm32f4xx_hal::pac::Interrupt;
 
     use crate::pins::{Can, Pins};
 
-    type Runner = canopen_stm32f4::Runner<Can, Application, TPDOS, RPDOS, PRODUCERS>;
+    type Runner = canopen_stm32f4::Runner<Can, Application>;
 
     const CRYSTAL: Crystal = Crystal::new(device::CRYSTAL_HZ, device::CRYSTAL_IS_EXTERNAL_CLOCK);
 

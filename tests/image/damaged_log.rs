@@ -16,7 +16,7 @@ const BANK: usize = SETTINGS_LENGTH / 2;
 const START: Time = Time::from_ms(1_300);
 const STARTS: usize = 150;
 
-type ExampleNode = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
+type ExampleNode = NodeRig<io::Application>;
 
 fn device() -> Device {
     node_rig::device(node_rig::ADDRESS).with_defaults(settings(0xFF, BitRate::Kbit125))
@@ -30,7 +30,7 @@ fn example_node(content: Vec<u8>) -> ExampleNode {
 /// What a plain node makes of a log.
 fn plain(content: Vec<u8>) -> Vec<u8> {
     let flash = BoardFlash::with_content(content, 0);
-    NodeRig::<_, 0, 0, 0>::with_application(device(), flash, 0, NoApplication).flash.content()
+    NodeRig::with_application(device(), flash, 0, NoApplication).flash.content()
 }
 
 /// A log with settings and parameters, in one or in both banks.

@@ -28,7 +28,7 @@ fn board(slowdown: u8) -> ImageRig {
 /// A board and its model.
 struct Pair {
     rig: ImageRig,
-    model: NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>,
+    model: NodeRig<io::Application>,
 }
 
 impl Pair {

@@ -53,7 +53,7 @@ impl Application for Scale {
 }
 
 /// A board with node-ID 40h, one TPDO and one RPDO.
-fn board(flash: BoardFlash) -> NodeRig<Scale, 1, 1> {
+fn board(flash: BoardFlash) -> NodeRig<Scale> {
     NodeRig::with_application(device(ADDRESS).with_defaults(defaults(0x40)), flash, 0, Scale::new())
 }
 
@@ -121,7 +121,7 @@ fn an_array_is_stored_whole() {
 
 #[test]
 fn the_data_sheet_numbers_the_names_of_an_array() {
-    let sections = parse(&sheet_of::<Scale, 1, 1, 0>(&Scale::new()));
+    let sections = parse(&sheet_of(&Scale::new()));
     let of = |section: &str, key: &str| sections[section][key].clone();
     assert_eq!(of("2100", "SubNumber"), "6");
     assert_eq!(of("2100sub0", "DefaultValue"), "5");

@@ -38,18 +38,16 @@ fn firmware() -> DataSheet<'static> {
 }
 
 /// The data sheet of a node of the test board with this application.
-pub fn sheet_of<A: Application, const T: usize, const R: usize, const P: usize>(
-    application: &A,
-) -> String {
+pub fn sheet_of<A: Application>(application: &A) -> String {
     let product = Product { device: node_rig::device(ADDRESS), ..product() };
-    DataSheet::new(product, <Node<A, T, R, P>>::entries(&product.device), application).eds()
+    DataSheet::new(product, <Node<A>>::entries(&product.device), application).eds()
 }
 
 /// The data sheet of a node with one value of each kind.
 fn kinds() -> String {
     let mut objects = Objects::new();
     objects.octets = OctetString::from_bytes(&[0x00, 0xAB]).unwrap();
-    sheet_of::<_, 0, 0, 0>(&objects)
+    sheet_of(&objects)
 }
 
 /// The keys of a section as one line, sorted.
@@ -97,13 +95,10 @@ fn every_value_has_one_section_and_no_section_is_left_over() {
 #[test]
 fn a_dummy_is_in_use_if_an_rpdo_takes_it_with_its_number_of_bits() {
     const BITS: [u32; 7] = [1, 8, 16, 32, 8, 16, 32];
-    let sheet = DataSheet::new(
-        product(),
-        Node::<Machine, 2, 2, 0>::entries(&product().device),
-        &Machine::new(),
-    );
+    let sheet =
+        DataSheet::new(product(), Node::<Machine>::entries(&product().device), &Machine::new());
     let sections = parse(&sheet.eds());
-    let mut board: node_rig::NodeRig<Machine, 2, 2, 0> = node_rig::NodeRig::running(Machine::new());
+    let mut board = node_rig::NodeRig::running(Machine::new());
     set(&mut board, 0x1400, 1, 0x8000_0240, 4);
     set(&mut board, 0x1600, 0, 0, 1);
     for (data_type, bits) in (1..).zip(BITS) {
@@ -209,7 +204,7 @@ fn random_values_are_in_the_file_as_they_are() {
         objects.u64 = random.u64();
         objects.text = Text::from_bytes(&text).unwrap();
         objects.octets = OctetString::from_bytes(&octets).unwrap();
-        let sections = parse(&sheet_of::<_, 0, 0, 0>(&objects));
+        let sections = parse(&sheet_of(&objects));
         let octets: String = octets.iter().map(|octet| format!("{octet:02X}")).collect();
         for (name, value) in [
             ("2100sub2", objects.i16.to_string()),

@@ -4,8 +4,7 @@ use canopen_node::{Frame, NodeId, application::Event, nmt::State};
 use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::{
-    Board, INCOMPATIBLE, INVALID_VALUE, Machine, board, operational, receive, set, take_events,
-    write,
+    Board, INCOMPATIBLE, INVALID_VALUE, With, board, operational, receive, set, take_events, write,
 };
 
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
@@ -61,7 +60,7 @@ fn the_error_lasts_until_no_producer_is_lost() {
 
 #[test]
 fn messages_and_history_agree_on_the_producers_that_were_lost() {
-    let mut board: NodeRig<Machine, 3, 2, 3> = NodeRig::running(Machine::new());
+    let mut board = NodeRig::running(With::<3, 2, 3>::new());
     set(&mut board, 0x1015, 0, 1000, 2);
     for (node, time_ms) in [(1, 100), (2, 110), (3, 120)] {
         set(&mut board, 0x1016, node, u32::from(node) << 16 | time_ms, 4);

@@ -4,8 +4,9 @@
 use std::cell::RefCell;
 
 use canopen_node::{
-    Application, Frame,
-    application::Event,
+    Application, Count, Frame,
+    application::{Dictionary, Event},
+    object_dictionary::{Description, Entry},
     objects,
     pdo::{Rpdo, Tpdo},
     sdo::Abort,
@@ -57,11 +58,13 @@ impl Application for Machine {
     const TPDOS: &'static [Tpdo] = &[
         Tpdo::new(&[(0x6000, 1), (0x6000, 2)]),
         Tpdo::new(&[(0x6000, 3)]).with_transmission_type(1),
+        Tpdo::UNUSED,
     ];
     const RPDOS: &'static [Rpdo] = &[
         Rpdo::new(&[(0x6200, 1), (0x6200, 2)]),
         Rpdo::new(&[(0x0006, 0), (0x6200, 3)]).with_transmission_type(0),
     ];
+    const PRODUCERS: usize = 2;
 
     fn accept(&mut self, value: &MachineValue) -> Result<(), Abort> {
         match value {
@@ -75,7 +78,50 @@ impl Application for Machine {
     }
 }
 
-pub type Board = NodeRig<Machine, 3, 2, 2>;
+/// The machine in a node with other numbers of PDOs and heartbeat producers.
+#[derive(Clone, Default)]
+pub struct With<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(pub Machine);
+
+impl<const T: usize, const R: usize, const P: usize> With<T, R, P> {
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+impl<const T: usize, const R: usize, const P: usize> Dictionary for With<T, R, P> {
+    type Value = MachineValue;
+    type SdoBuffer = <Machine as Dictionary>::SdoBuffer;
+    type Numbers = Count<T, R, P>;
+    const OBJECTS: &'static [Entry] = Machine::OBJECTS;
+    const STORED_LEN: usize = Machine::STORED_LEN;
+
+    fn descriptions() -> impl Iterator<Item = Description> {
+        Machine::descriptions()
+    }
+
+    fn len(&self, field: u8) -> usize {
+        self.0.len(field)
+    }
+
+    fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
+        self.0.read(field, offset, to)
+    }
+
+    fn parse(field: u8, bytes: &[u8]) -> Result<MachineValue, Abort> {
+        Machine::parse(field, bytes)
+    }
+
+    fn set(&mut self, value: MachineValue) {
+        self.0.set(value);
+    }
+}
+
+impl<const T: usize, const R: usize, const P: usize> Application for With<T, R, P> {
+    const TPDOS: &'static [Tpdo] = Machine::TPDOS.split_at(2).0;
+    const RPDOS: &'static [Rpdo] = Machine::RPDOS;
+}
+
+pub type Board = NodeRig<Machine>;
 
 /// A board with node-ID 40h and a machine: TPDO 1 has the COB-ID 1C0h, RPDO 1 the COB-ID 240h.
 pub fn board() -> Board {

@@ -92,7 +92,7 @@ impl Application for Valve {
 
 #[test]
 fn a_product_declares_the_event_timer_of_an_rpdo_and_a_stored_one_replaces_it() {
-    let mut board: NodeRig<Valve, 0, 1> = NodeRig::running(Valve::new());
+    let mut board: NodeRig<Valve> = NodeRig::running(Valve::new());
     for (milliseconds, is_late) in [(50, true), (0, false), (70, true)] {
         if milliseconds != 50 {
             board.nmt("80 40");

@@ -43,7 +43,7 @@ impl Application for Meter {
     }
 }
 
-type Board = NodeRig<Meter, 3, 0>;
+type Board = NodeRig<Meter>;
 
 fn board() -> Board {
     NodeRig::running(Meter::new())

@@ -10,13 +10,14 @@ use testkit::{
 
 use crate::{
     eds::sheet_of,
-    process_data::{DEVICE_STATE, INVALID_VALUE, Machine, map},
+    process_data::{DEVICE_STATE, INVALID_VALUE, With, map},
 };
 
-type Board = NodeRig<Machine, 16, 16, 2>;
+type Sixteen = With<16, 16, 2>;
+type Board = NodeRig<Sixteen>;
 
 fn board() -> Board {
-    NodeRig::running(Machine::new())
+    NodeRig::running(Sixteen::new())
 }
 
 /// A board whose TPDOs 5 to 16 have the COB-IDs 405h to 410h and the buttons, and RPDOs 5 to 16 the COB-IDs 505h to 510h
@@ -60,7 +61,7 @@ fn each_of_sixteen_tpdos_is_sent() {
     let sent = board.nmt("01 40").0;
     let expected = [0x1C0].into_iter().chain(0x405..=0x410);
     assert!(sent.iter().map(Frame::cob_id).eq(expected), "{sent:?}");
-    board.node.application_mut().buttons = 3;
+    board.node.application_mut().0.buttons = 3;
     assert_eq!(board.pass_us(0).0.len(), 13);
     for number in 5..=16 {
         assert_eq!(board.download(0x1800 + number - 1, 2, &[1]), Ok(()));
@@ -76,11 +77,11 @@ fn each_of_sixteen_rpdos_takes_effect() {
     board.nmt("01 40");
     for number in 5..=16 {
         receive(&mut board, 0x500 + number, &format!("{number:02X}"));
-        assert_eq!(u16::from(board.node.application().lamps), number);
+        assert_eq!(u16::from(board.node.application().0.lamps), number);
         assert!(board.node.receives().contains(0x500 + number));
     }
     receive(&mut board, 0x511, "77");
-    assert_eq!(board.node.application().lamps, 16);
+    assert_eq!(board.node.application().0.lamps, 16);
 }
 
 #[test]
@@ -99,7 +100,7 @@ fn sixteen_pdos_are_stored() {
 
 #[test]
 fn the_data_sheet_has_sixteen_pdos() {
-    let sections = parse(&sheet_of::<Machine, 16, 16, 2>(&Machine::new()));
+    let sections = parse(&sheet_of(&Sixteen::new()));
     let info = &sections["DeviceInfo"];
     let numbers = ["NrOfRXPDO", "NrOfTXPDO", "Granularity"].map(|key| &*info[key]);
     assert_eq!(numbers, ["16", "16", "8"]);

@@ -18,7 +18,7 @@ use testkit::{
     sdo::Client,
 };
 
-use crate::process_data::{Board, Machine, board, map, receive, set, write};
+use crate::process_data::{Board, Machine, With, board, map, receive, set, write};
 
 /// The bytes of a stored value beside it.
 const HEADER: usize = 6;
@@ -28,10 +28,8 @@ fn test_device() -> Device {
 }
 
 /// The parameters of process data, without the entries of mappings that the PDO does not carry.
-fn parameters<A: Application + Clone, const T: usize, const R: usize, const P: usize>(
-    board: &mut NodeRig<A, T, R, P>,
-) -> Vec<(u16, u8, u32)> {
-    let entries: Vec<_> = Node::<A, T, R, P>::entries(&test_device()).collect();
+fn parameters<A: Application + Clone>(board: &mut NodeRig<A>) -> Vec<(u16, u8, u32)> {
+    let entries: Vec<_> = Node::<A>::entries(&test_device()).collect();
     let mut parameters = Vec::new();
     for (entry, _) in entries {
         let is_here = match entry.object {
@@ -185,12 +183,14 @@ objects! {
 }
 
 impl Application for NewMachine {
-    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)]), Tpdo::new(&[(0x6200, 3)])];
-    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 2)])];
+    const TPDOS: &'static [Tpdo] =
+        &[Tpdo::new(&[(0x6000, 3)]), Tpdo::new(&[(0x6200, 3)]), Tpdo::UNUSED, Tpdo::UNUSED];
+    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 2)]), Rpdo::UNUSED];
+    const PRODUCERS: usize = 1;
 }
 
 /// COB-ID, transmission type and mapping of a PDO.
-fn pdo(board: &mut NodeRig<NewMachine, 4, 2, 1>, parameter: u16) -> (u32, u32, Vec<u32>) {
+fn pdo(board: &mut NodeRig<NewMachine>, parameter: u16) -> (u32, u32, Vec<u32>) {
     let mapping = parameter + 0x200;
     let number = board.number(mapping, 0) as u8;
     let mapped = (1..=number).map(|sub_index| board.number(mapping, sub_index)).collect();
@@ -213,7 +213,7 @@ fn a_stored_pdo_whose_objects_are_gone_stays_as_it_is_declared() {
     set(&mut old, 0x1016, 2, 0x0006_0001, 4);
     assert_eq!(old.save(2), Ok(()));
     let flash = old.flash.clone();
-    let mut new: NodeRig<NewMachine, 4, 2, 1> =
+    let mut new: NodeRig<NewMachine> =
         NodeRig::with_application(test_device(), flash, 0, NewMachine::new());
     let all: Vec<_> = (0..4).map(|at| pdo(&mut new, 0x1800 + at)).collect();
     let declared = [
@@ -322,8 +322,8 @@ fn illegal_stored_parameters_are_not_taken() {
 
 #[test]
 fn the_parameters_of_process_data_are_packed_as_documented() {
-    let mut board: NodeRig<Machine, 2, 2, 2> =
-        NodeRig::with_application(test_device(), BoardFlash::blank(0), 0, Machine::new());
+    let application = With::<2, 2, 2>::new();
+    let mut board = NodeRig::with_application(test_device(), BoardFlash::blank(0), 0, application);
     set(&mut board, 0x1016, 1, 0x0005_03E8, 4);
     set(&mut board, 0x1801, 1, 0x8000_02C0, 4);
     set(&mut board, 0x1801, 5, 10_000, 2);
@@ -354,7 +354,7 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let of_verification = 2 * (HEADER + 4);
     let of_every_node = of_error_behaviour + of_emergency + of_verification;
     let capacity = of_sync + of_every_node + pdos + 2 * (HEADER + 4);
-    assert_eq!(Node::<Machine, 3, 2, 2>::STORED_LEN, capacity);
+    assert_eq!(Node::<Machine>::STORED_LEN, capacity);
     let mut board = board();
     for (parameter, cob_id, value) in [
         (0x1400, 0x333, 0x0005_0008),

@@ -11,7 +11,7 @@ use std::{
 };
 
 use canopen_node::{
-    Application, BitRate, Device, Frame, Instant, Node, NodeId, Receives,
+    Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives,
     application::NoApplication,
     indicator::BusState,
     runner::{
@@ -73,12 +73,7 @@ impl Chip {
 }
 
 impl Controller for Handle {
-    fn start<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        mode: Mode,
-        bit_rate: BitRate,
-        _: &Receives<RPDOS, PRODUCERS>,
-    ) -> bool {
+    fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, _: &Receives<N>) -> bool {
         let mut chip = self.0.borrow_mut();
         chip.place = None;
         chip.received.clear();
@@ -173,9 +168,9 @@ impl AsyncSystem for Handle {
 }
 
 /// A board with its runner.
-struct Board<A: Application = NoApplication, const TPDOS: usize = 0, const RPDOS: usize = 0> {
+struct Board<A: Application = NoApplication> {
     chip: Rc<RefCell<Chip>>,
-    runner: Runner<Handle, Handle, A, TPDOS, RPDOS>,
+    runner: Runner<Handle, Handle, A>,
 }
 
 impl Board {
@@ -192,7 +187,7 @@ impl Board {
     }
 }
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize> Board<A, TPDOS, RPDOS> {
+impl<A: Application> Board<A> {
     fn with_application(device: Device, application: A) -> Self {
         let chip = Rc::new(RefCell::new(Chip {
             now_us: 0,
@@ -288,7 +283,7 @@ fn only_lss_answers_outlive_a_reset_of_the_communication() {
 }
 
 /// A board in NMT operational on a busy bus, with a heartbeat every 100 ms and this event timer of its first TPDO.
-fn operational(event_timer_ms: &str) -> Board<Machine, 2, 2> {
+fn operational(event_timer_ms: &str) -> Board<Machine> {
     let device = device(ADDRESS).with_defaults(defaults(5).with_heartbeat_ms(100));
     let mut board = Board::with_application(device, Machine::new());
     board.pass_ms(1);
@@ -318,7 +313,7 @@ fn heartbeats_go_on_whatever_waited_for_the_bus_when_pdos_were_dropped() {
 }
 
 /// Ends NMT operational on a bus that is free from then on.
-fn check_heartbeats(mut board: Board<Machine, 2, 2>, end: &str) {
+fn check_heartbeats(mut board: Board<Machine>, end: &str) {
     board.receive(&[end]);
     assert_eq!(board.chip().place, None);
     board.chip().is_bus_free = true;
@@ -500,8 +495,12 @@ fn the_last_error_code_of_a_controller_names_the_error() {
 
 #[test]
 fn filters_get_the_cob_ids_in_full_lists() {
-    let receives =
-        Receives { all: false, services: [1, 2, 3, 4], rpdos: [5, 6], heartbeats: [7, 8, 9] };
+    let receives = Receives::<Count<0, 2, 3>> {
+        all: false,
+        services: [1, 2, 3, 4],
+        rpdos: [5, 6],
+        heartbeats: [7, 8, 9],
+    };
     assert!(receives.lists().eq([[1, 2, 3, 4], [5, 6, 7, 8], [9, 9, 9, 9]]));
     assert!(receives.lists().eq([[1, 2, 3], [4, 5, 6], [7, 8, 9]]));
 }

@@ -1,7 +1,7 @@
 //! An application with a value of every kind and domains, for the tests of the SDO services.
 
 use canopen_node::{
-    Application,
+    Application, Count,
     application::{Dictionary, Domain, OctetString, Text},
     object_dictionary::{Description, Entry},
     objects,
@@ -49,9 +49,12 @@ pub struct Machine {
     pub refuse_end: Option<Abort>,
 }
 
+impl Application for Values {}
+
 impl Dictionary for Machine {
     type Value = MachineValue;
     type SdoBuffer = <Values as Dictionary>::SdoBuffer;
+    type Numbers = Count<0, 0, 0>;
     const OBJECTS: &'static [Entry] = Values::OBJECTS;
     const STORED_LEN: usize = Values::STORED_LEN;
 

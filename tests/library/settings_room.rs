@@ -12,7 +12,7 @@ use testkit::{
     settings::{open_with_parameters, parameters, settings},
 };
 
-type Example = NodeRig<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
+type Example = NodeRig<io::Application>;
 
 /// The least number of stores that fit after a start, however many places other stores have taken before it. `fill`
 /// takes a place and `store` those of a store, if there is room.
@@ -41,9 +41,7 @@ fn least_room<B>(
 }
 
 /// A store of another node-ID by LSS.
-fn store_by_lss<A: Application + Clone, const T: usize, const R: usize, const P: usize>(
-    board: &mut NodeRig<A, T, R, P>,
-) -> bool {
+fn store_by_lss<A: Application + Clone>(board: &mut NodeRig<A>) -> bool {
     let next = board.stored().and_then(|stored| stored.node_id).map_or(1, |id| id.get() % 100 + 1);
     board.lss("04 01");
     board.lss(&format!("11 {next:02X}"));

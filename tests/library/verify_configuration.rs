@@ -1,7 +1,12 @@
 //! Verify configuration 1020h (CiA 301, 7.5.2.23): date and time that a master stores with a configuration, which end
 //! with the next change of it.
 
-use canopen_node::{Application, Frame, application::Text, objects, pdo::Rpdo};
+use canopen_node::{
+    Application, Frame,
+    application::Text,
+    objects,
+    pdo::{Rpdo, Tpdo},
+};
 use testkit::{flash::Operation, node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::{map, set};
@@ -25,10 +30,12 @@ objects! {
 }
 
 impl Application for Drive {
+    const TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED];
     const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x2102, 0), (0x2103, 0)])];
+    const PRODUCERS: usize = 1;
 }
 
-type Board = NodeRig<Drive, 1, 1, 1>;
+type Board = NodeRig<Drive>;
 
 const STAMP: (u32, u32) = (0x1234_5678, 0x9ABC_DEF0);
 const NONE: (u32, u32) = (0, 0);

@@ -2,7 +2,7 @@
 //! offer: error counters, the level of the bus, and to abort a frame or to change the bit rate without a wait.
 
 use canopen_node::{
-    BitRate, Frame, Receives,
+    BitRate, Frame, Numbers, Receives,
     bit_rate::BitTiming,
     indicator::BusState,
     runner::{AsyncController, BusError, Controller, Mode, Received, Sample},
@@ -60,11 +60,11 @@ impl Bxcan {
 
 impl Controller for Bxcan {
     /// Resets the controller, as the driver waits for the end of a frame before it changes the bit rate.
-    fn start<const R: usize, const P: usize>(
+    fn start<N: Numbers>(
         &mut self,
         mode: Mode,
         bit_rate: BitRate,
-        receives: &Receives<R, P>,
+        receives: &Receives<N>,
     ) -> bool {
         let Some(timing) = TIMINGS[usize::from(bit_rate.index())].and_then(to_driver) else {
             return false;
@@ -79,7 +79,7 @@ impl Controller for Bxcan {
         true
     }
 
-    fn set_receives<const R: usize, const P: usize>(&mut self, receives: &Receives<R, P>) {
+    fn set_receives<N: Numbers>(&mut self, receives: &Receives<N>) {
         let entry =
             |id| ListEntry16::data_frames_with_id(StandardId::new(id).unwrap_or(StandardId::MAX));
         let mut filters = self.can.modify_filters();

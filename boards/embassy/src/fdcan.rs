@@ -5,7 +5,7 @@
 use core::{cell::Cell, future::poll_fn, task::Poll};
 
 use canopen_node::{
-    BitRate, Frame, Receives,
+    BitRate, Frame, Numbers, Receives,
     bit_rate::BitTiming,
     indicator::BusState,
     runner::{AsyncController, BusError, Controller, Mode, Received, Sample},
@@ -96,11 +96,11 @@ impl Fdcan {
 
 impl Controller for Fdcan {
     /// Makes a new driver, as one that runs cannot change the bit rate.
-    fn start<const R: usize, const P: usize>(
+    fn start<N: Numbers>(
         &mut self,
         mode: Mode,
         bit_rate: BitRate,
-        receives: &Receives<R, P>,
+        receives: &Receives<N>,
     ) -> bool {
         let Some(timing) = TIMINGS[usize::from(bit_rate.index())].and_then(to_driver) else {
             return false;
@@ -127,7 +127,7 @@ impl Controller for Fdcan {
         true
     }
 
-    fn set_receives<const R: usize, const P: usize>(&mut self, receives: &Receives<R, P>) {
+    fn set_receives<N: Numbers>(&mut self, receives: &Receives<N>) {
         let Some(driver) = &self.driver else { return };
         let id = |id| StandardId::new(id).unwrap_or(StandardId::MAX);
         let mut standard = [StandardFilter::disable(); 28];

@@ -2,7 +2,7 @@
 //! frame was sent, aborts, the kind of an error, and recovery from bus-off.
 
 use canopen_node::{
-    BitRate, Frame, Receives,
+    BitRate, Frame, Numbers, Receives,
     indicator::BusState,
     runner::{self, AsyncController, BusError, Mode, Received, Sample},
 };
@@ -41,11 +41,11 @@ impl Controller {
 
 impl runner::Controller for Controller {
     /// A new driver is the only way to another bit rate or mode; the controller is reset meanwhile.
-    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+    fn start<N: Numbers>(
         &mut self,
         mode: Mode,
         bit_rate: BitRate,
-        _receives: &Receives<RPDOS, PRODUCERS>,
+        _receives: &Receives<N>,
     ) -> bool {
         let Some(timing) = port_esp32c3::timing(bit_rate) else {
             return false;

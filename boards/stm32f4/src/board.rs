@@ -66,20 +66,13 @@ impl Board {
     }
 
     /// Starts the node of this device with its stored settings and parameters, or the defaults, and joins the bus.
-    pub fn start<
-        C: Peripheral,
-        A: Application,
-        const TPDOS: usize,
-        const RPDOS: usize,
-        const PRODUCERS: usize,
-        const STORED_LEN: usize,
-    >(
+    pub fn start<C: Peripheral, A: Application, const STORED_LEN: usize>(
         mut self,
         device: Device,
         application: A,
         can: C,
         pins: CanPins<C>,
-    ) -> (Runner<C, A, TPDOS, RPDOS, PRODUCERS>, Storage<STORED_LEN>, Watchdog) {
+    ) -> (Runner<C, A>, Storage<STORED_LEN>, Watchdog) {
         let (mut log, found) = Log::open_with_parameters(self.flash);
         let stored = log.settings();
         let mut node = Node::with_application(device, stored, application);

@@ -18,14 +18,8 @@ use crate::{
 };
 
 /// The node, its controller, and their next deadline.
-pub struct Runner<
-    C: Peripheral,
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
-> {
-    runner: runner::Runner<Controller<C>, Board, A, TPDOS, RPDOS, PRODUCERS>,
+pub struct Runner<C: Peripheral, A: Application> {
+    runner: runner::Runner<Controller<C>, Board, A>,
 }
 
 /// What the runner needs beside the controller.
@@ -52,15 +46,13 @@ impl System for Board {
     }
 }
 
-impl<C: Peripheral, A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Runner<C, A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<C: Peripheral, A: Application> Runner<C, A> {
     /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
     /// listen first.
-    pub fn new(node: Node<A, TPDOS, RPDOS, PRODUCERS>, can: Controller<C>, alarm: Alarm) -> Self {
+    pub fn new(node: Node<A>, can: Controller<C>, alarm: Alarm) -> Self {
         const {
             assert!(
-                Node::<A, TPDOS, RPDOS, PRODUCERS>::STORED_LEN <= flash::CAPACITY,
+                Node::<A>::STORED_LEN <= flash::CAPACITY,
                 "the flash has no room for the stored parameters of the application"
             );
         }
@@ -136,13 +128,10 @@ pub struct Storage<const STORED_LEN: usize> {
 
 impl<const STORED_LEN: usize> Storage<STORED_LEN> {
     /// Stores what the node has asked for, and passes it the outcome.
-    pub fn store<C, A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
+    pub fn store<C: Peripheral, A: Application>(
         &mut self,
-        runner: &mut impl Mutex<T = Runner<C, A, TPDOS, RPDOS, PRODUCERS>>,
-    ) where
-        C: Peripheral,
-        A: Application,
-    {
+        runner: &mut impl Mutex<T = Runner<C, A>>,
+    ) {
         Task::STORE.answer();
         let mut parameters = [0; STORED_LEN];
         let persistent = self.log.parameters();

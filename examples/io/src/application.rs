@@ -7,15 +7,8 @@ use canopen_node::{
     sdo::Abort,
 };
 
-/// The button, the temperature, and two for a master to map.
-pub const TPDOS: usize = 4;
-/// The LEDs, and three for a master to map.
-pub const RPDOS: usize = 4;
-/// Two nodes, such as the master and a neighbour.
-pub const PRODUCERS: usize = 2;
-
 /// The node with the application.
-pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application>;
 
 objects! {
     /// The objects of the I/O device, with their values.
@@ -54,11 +47,18 @@ impl canopen_node::Application for Application {
     /// CiA 401, with digital inputs and outputs and analogue inputs.
     const DEVICE_TYPE: u32 = 0x0007_0191;
     const SETTINGS_BY_SDO: bool = true;
+    /// The button, the temperature, and two for a master to map.
     const TPDOS: &'static [Tpdo] = &[
         Tpdo::new(&[(0x6000, 1)]),
         Tpdo::new(&[(0x6401, 1)]).with_event_timer(1000).with_inhibit_time(100),
+        Tpdo::UNUSED,
+        Tpdo::UNUSED,
     ];
-    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
+    /// The LEDs, and three for a master to map.
+    const RPDOS: &'static [Rpdo] =
+        &[Rpdo::new(&[(0x6200, 1)]), Rpdo::UNUSED, Rpdo::UNUSED, Rpdo::UNUSED];
+    /// Two nodes, such as the master and a neighbour.
+    const PRODUCERS: usize = 2;
 
     fn accept(&mut self, value: &Value) -> Result<(), Abort> {
         match value {

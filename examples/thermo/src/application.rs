@@ -5,14 +5,8 @@ use canopen_node::{
     pdo::{Rpdo, Tpdo},
 };
 
-/// The temperatures.
-pub const TPDOS: usize = 1;
-/// The relays.
-pub const RPDOS: usize = 1;
-pub const PRODUCERS: usize = 0;
-
 /// The node with the application.
-pub type Node = canopen_node::Node<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Node = canopen_node::Node<Application>;
 
 /// The emergency error code of the first sensor; those of the others follow.
 pub const SENSOR_FAULT: u16 = 0x5031;
@@ -43,8 +37,10 @@ objects! {
 impl canopen_node::Application for Application {
     /// CiA 404, with analogue inputs.
     const DEVICE_TYPE: u32 = 0x0002_0194;
+    /// The temperatures.
     const TPDOS: &'static [Tpdo] =
         &[Tpdo::new(&[(0x7130, 1), (0x7130, 2), (0x7130, 3), (0x7130, 4)]).with_inhibit_time(1000)];
+    /// The relays.
     const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
 }
 

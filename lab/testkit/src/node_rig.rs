@@ -28,13 +28,8 @@ const ROOM: usize = 2048;
 const ENDLESS: usize = 1000;
 
 /// A board with a node on it.
-pub struct NodeRig<
-    A: Application = NoApplication,
-    const TPDOS: usize = 0,
-    const RPDOS: usize = 0,
-    const PRODUCERS: usize = 0,
-> {
-    pub node: Node<A, TPDOS, RPDOS, PRODUCERS>,
+pub struct NodeRig<A: Application = NoApplication> {
+    pub node: Node<A>,
     /// The application as it is at each power-on.
     new_application: A,
     /// A handle to the chip that holds the settings.
@@ -52,7 +47,7 @@ pub struct NodeRig<
     /// The controller's state.
     bit_rate: BitRate,
     pub may_transmit: bool,
-    receives: Receives<RPDOS, PRODUCERS>,
+    receives: Receives<A::Numbers>,
     /// The store in progress, if stores take time.
     running_store: Option<Settings>,
     stores_take_time: bool,
@@ -124,9 +119,7 @@ impl NodeRig {
     }
 }
 
-impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    NodeRig<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application + Clone> NodeRig<A> {
     /// A new board with node-ID 40h and an application, just powered on.
     pub fn running(application: A) -> Self {
         let device = device(ADDRESS).with_defaults(defaults(0x40));
@@ -417,12 +410,12 @@ impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODU
 }
 
 /// A node after power-on, with what its flash holds.
-fn start<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
+fn start<A: Application>(
     device: Device,
     flash: &BoardFlash,
     application: A,
-) -> (Log<BoardFlash, ROOM>, Node<A, TPDOS, RPDOS, PRODUCERS>, Found) {
-    const { assert!(Node::<A, TPDOS, RPDOS, PRODUCERS>::STORED_LEN <= ROOM) };
+) -> (Log<BoardFlash, ROOM>, Node<A>, Found) {
+    const { assert!(Node::<A>::STORED_LEN <= ROOM) };
     let (mut log, mut found) = Log::open_with_parameters(flash.clone());
     let mut node = Node::with_application(device, log.settings(), application);
     if let Err(error) = log.restore(|parameter| node.restore(parameter)) {

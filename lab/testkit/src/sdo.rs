@@ -16,18 +16,14 @@ pub fn request(node_id: u8, text: &str) -> Frame {
     Frame::new(0x600 + u16::from(node_id), &bytes).expect("a frame")
 }
 
-impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    NodeRig<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application + Clone> NodeRig<A> {
     /// Sends an SDO request to the node, whose node-ID must be 40h; returns the frames that it sends at once.
     pub fn sdo(&mut self, text: &str) -> Frames {
         self.receive(&request(0x40, text))
     }
 }
 
-impl<A: Application + Clone, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Client
-    for NodeRig<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application + Clone> Client for NodeRig<A> {
     fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]> {
         let node_id = self.node.node_id().expect("a node-ID").get();
         let mut answers = Vec::new();

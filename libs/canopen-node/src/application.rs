@@ -48,6 +48,7 @@ pub use value::{
 use core::iter;
 
 use crate::{
+    numbers::{Count, Declares},
     object_dictionary::{Description, Entry},
     pdo::declaration::{Rpdo, Tpdo},
     sdo::{self, Abort},
@@ -60,6 +61,8 @@ pub trait Dictionary {
     /// The memory of the SDO server, with room for the longest value that a client can write.
     #[doc(hidden)]
     type SdoBuffer: sdo::Buffer;
+    /// The numbers of PDOs and heartbeat producers, as the [`Application`] declares them.
+    type Numbers: Declares<Self>;
     /// The objects, by index and sub-index.
     const OBJECTS: &'static [Entry];
 
@@ -90,10 +93,12 @@ pub trait Dictionary {
 pub trait Application: Dictionary {
     /// Device type 1000h: the number of a device profile of CiA and what the profile adds; 0 without a profile.
     const DEVICE_TYPE: u32 = 0;
-    /// The TPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    /// The TPDOs as a new device has them, 16 at most. [`Tpdo::UNUSED`] carries nothing before a master maps values.
     const TPDOS: &'static [Tpdo] = &[];
-    /// The RPDOs of a new device. The node may have more of them, which carry nothing before a master maps values.
+    /// The RPDOs as a new device has them, 16 at most. [`Rpdo::UNUSED`] carries nothing before a master maps values.
     const RPDOS: &'static [Rpdo] = &[];
+    /// The number of nodes whose heartbeat a master can have watched, 16 at most.
+    const PRODUCERS: usize = 0;
     /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
     ///
     /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer, so a client that is silent for longer has
@@ -185,6 +190,7 @@ pub struct NoApplication;
 impl Dictionary for NoApplication {
     type Value = ();
     type SdoBuffer = [u8; longest(&[])];
+    type Numbers = Count<0, 0, 0>;
     const OBJECTS: &'static [Entry] = &[];
     const STORED_LEN: usize = 0;
 

@@ -60,6 +60,7 @@ struct Readme;
 mod declaration_error;
 mod device;
 mod node;
+mod numbers;
 
 pub use application::Application;
 pub use device::Device;
@@ -68,3 +69,4 @@ pub use lss_slave::{
     bit_rate, lss, settings,
 };
 pub use node::{Action, Node, Receives};
+pub use numbers::{Count, Numbers};

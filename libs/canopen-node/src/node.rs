@@ -14,8 +14,6 @@ mod receives;
 mod settings_object;
 mod verification;
 
-use core::array;
-
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
@@ -23,6 +21,7 @@ use crate::{
     emergency::{APPLICATION, Emergency, Fault},
     lss::{self, Reaction, Response, Slave, StoreError},
     nmt::{self, Command, slave::NmtSlave},
+    numbers::{List, Numbers},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
     sdo::{self, Message},
     settings::parameters::{Packer, Parameter},
@@ -53,22 +52,16 @@ use verification::Verification;
 /// Before the first call the controller runs at the [`bit_rate`](Self::bit_rate) and receives the node's COB-IDs. A
 /// late or unnecessary call does no harm.
 ///
-/// The application `A` is that of a product. `TPDOS` and `RPDOS` are its numbers of PDOs, each 0 to 16; `PRODUCERS` is
-/// the number of nodes whose heartbeat can be watched, 0 to 16.
+/// The application `A` is that of a product, with its PDOs.
 #[derive(Clone, Debug)]
-pub struct Node<
-    A: Application = NoApplication,
-    const TPDOS: usize = 0,
-    const RPDOS: usize = 0,
-    const PRODUCERS: usize = 0,
-> {
+pub struct Node<A: Application = NoApplication> {
     lss: Slave,
     bit_rate: Control,
     nmt: NmtSlave,
     emergency: Emergency,
     sdo: sdo::Server<A::SdoBuffer>,
     storing: Storing,
-    product: Product<A, TPDOS, RPDOS, PRODUCERS>,
+    product: Product<A>,
     agenda: Agenda,
     periodic: Periodic,
 }
@@ -138,13 +131,10 @@ impl Node {
     }
 }
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Node<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Node<A> {
     /// The greatest number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize = A::STORED_LEN
-        + Communication::<TPDOS, RPDOS, PRODUCERS>::stored_len::<A>()
-        + Verification::STORED_LEN;
+    pub const STORED_LEN: usize =
+        A::STORED_LEN + Communication::<A::Numbers>::stored_len::<A>() + Verification::STORED_LEN;
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -196,7 +186,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     /// event-driven; at the next SYNC if its transmission type is 0. One of another type, one that is not valid, and any
     /// outside of NMT operational stay as they are. [`poll`](Self::poll) must follow.
     pub fn send_tpdo(&mut self, number: u8) {
-        if TPDOS > 0 {
+        if A::Numbers::TPDOS > 0 {
             self.product.communication.pdos.request(number);
             self.agenda.add(Tasks::of(&[Task::Pdos]));
         }
@@ -250,21 +240,18 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// The frames that the node uses; it ignores all others. They change with [`Action::SetNodeId`],
     /// [`Action::SetReceives`], [`Action::SetBitRate`] and [`Action::Listen`].
-    pub fn receives(&self) -> Receives<RPDOS, PRODUCERS> {
+    pub fn receives(&self) -> Receives<A::Numbers> {
         const UNUSED: u16 = lss::REQUEST_COB_ID;
         let node = self.node_id();
         // Without a node-ID only LSS and NMT are received.
         let sdo = self.sdo_request_cob_id().unwrap_or(UNUSED);
         let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
+        let Communication { pdos, consumer, .. } = &self.product.communication;
         Receives {
             all: self.bit_rate.needs_all_frames(),
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
-            rpdos: array::from_fn(|at| {
-                self.product.communication.pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)
-            }),
-            heartbeats: array::from_fn(|at| {
-                self.product.communication.consumer.cob_id(at).unwrap_or(UNUSED)
-            }),
+            rpdos: List::from_fn(|at| pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
+            heartbeats: List::from_fn(|at| consumer.cob_id(at).unwrap_or(UNUSED)),
         }
     }
 
@@ -275,7 +262,9 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             services.into_iter().any(|base| cob_id == base + u16::from(node.get()))
                 || self.emergency.configuration.cob_id(node) == Some(cob_id)
         };
-        TPDOS > 0 && cob_id != lss::RESPONSE_COB_ID && !self.node_id().is_some_and(is_service)
+        A::Numbers::TPDOS > 0
+            && cob_id != lss::RESPONSE_COB_ID
+            && !self.node_id().is_some_and(is_service)
     }
 
     /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
@@ -461,9 +450,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 
     /// The objects of the node in no certain order, with their descriptions, for an EDS or a page of documentation. The
     /// image does not contain them.
-    pub fn entries(
-        device: &Device,
-    ) -> impl Iterator<Item = (Entry, Description)> + use<A, TPDOS, RPDOS, PRODUCERS> {
+    pub fn entries(device: &Device) -> impl Iterator<Item = (Entry, Description)> + use<A> {
         let own =
             object_dictionary::TABLE.iter().copied().zip(object_dictionary::descriptions(device));
         own.map(|(entry, description)| match entry.object {
@@ -473,7 +460,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             }
             _ => (entry, description),
         })
-        .chain(Communication::<TPDOS, RPDOS, PRODUCERS>::entries::<A>())
+        .chain(Communication::<A::Numbers>::entries::<A>())
         .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
         .chain(A::SETTINGS_BY_SDO.then(settings_object::entries).into_iter().flatten())
     }
@@ -515,7 +502,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Task::BitRate => bit_rate.poll_at(),
             Task::Producers => product.communication.late_at().filter(|_| !bit_rate.is_switching()),
             _ if !may_report => None,
-            Task::Sdo => sdo.poll_at::<NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>>(),
+            Task::Sdo => sdo.poll_at::<NodeObjects<'_, A>>(),
             _ if bit_rate.is_guest() => None,
             Task::Messages => {
                 let heartbeat = nmt.poll_at().and_then(|due| periodic.postpone(due, now));

@@ -1,7 +1,6 @@
 //! Process data (CiA 301, 7.2.2): PDOs with the values of the application, at their events or at a SYNC.
 //!
-//! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`]; their numbers are parameters of
-//! [`Node`](crate::Node).
+//! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`].
 
 pub(crate) mod declaration;
 mod mapping;
@@ -12,7 +11,8 @@ mod tables;
 mod tpdo;
 
 pub use declaration::{Rpdo, Tpdo};
-pub(crate) use tables::describe;
+pub(crate) use parameters::Pdo;
+pub(crate) use tables::{Tables, describe};
 
 use core::mem;
 
@@ -21,12 +21,12 @@ use crate::{
     application::event::Event,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
+    numbers::{Declares, Element, List, Numbers},
     object_dictionary::{Entry, Object},
     sdo::Abort,
     sync::{self, Sync},
 };
 use mapping::{Direction, Mapping};
-use parameters::Pdo;
 use rpdo::Reception;
 use tpdo::Transmission;
 
@@ -38,24 +38,24 @@ const PREDEFINED: usize = 4;
 const INHIBIT_TIME: u8 = 3;
 /// The parameters of the PDOs and of SYNC.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Configuration<const TPDOS: usize, const RPDOS: usize> {
-    tpdos: [Pdo; TPDOS],
-    rpdos: [Pdo; RPDOS],
+pub(crate) struct Configuration<N: Numbers> {
+    tpdos: N::Tpdos<Pdo>,
+    rpdos: N::Rpdos<Pdo>,
     sync: Sync,
 }
 
 /// The PDOs of a node. They take no code if there are none.
 #[derive(Clone, Debug)]
-pub(crate) struct Pdos<const TPDOS: usize, const RPDOS: usize> {
-    current: Configuration<TPDOS, RPDOS>,
-    tpdos: [Transmission; TPDOS],
+pub(crate) struct Pdos<N: Numbers> {
+    current: Configuration<N>,
+    tpdos: N::Tpdos<Transmission>,
     /// The TPDOs in use whose type is synchronous.
     synchronous: Tpdos,
     /// The other TPDOs in use.
     event_driven: Tpdos,
     /// The synchronous TPDOs that a SYNC has asked for, and the others that may have changed.
     due: Tpdos,
-    rpdos: [Reception; RPDOS],
+    rpdos: N::Rpdos<Reception>,
     /// The latest SYNC had a wrong length.
     is_sync_wrong: bool,
     /// The end of the synchronous window.
@@ -66,46 +66,55 @@ pub(crate) struct Pdos<const TPDOS: usize, const RPDOS: usize> {
     is_running: bool,
 }
 
-impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
+impl<N: Numbers> Configuration<N> {
     /// The parameters of a new device, as the application declares them. A wrong declaration does not compile.
-    pub const fn declared<A: Application>() -> Self {
-        const {
-            assert!(
-                TPDOS <= MAX_PDOS && RPDOS <= MAX_PDOS,
-                "a node has at most 16 TPDOs and 16 RPDOs"
-            );
-            assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
-            assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
-            let mut tpdos = [Pdo::UNUSED; TPDOS];
-            let mut at = 0;
-            while at < A::TPDOS.len() {
-                tpdos[at] = Pdo::declared_tpdo(at + 1, &A::TPDOS[at], A::OBJECTS);
-                at += 1;
-            }
-            let mut rpdos = [Pdo::UNUSED; RPDOS];
-            let mut at = 0;
-            while at < A::RPDOS.len() {
-                rpdos[at] = Pdo::declared_rpdo(at + 1, &A::RPDOS[at], A::OBJECTS);
-                at += 1;
-            }
-            Self { tpdos, rpdos, sync: Sync::new() }
-        }
+    pub const fn declared<A: Application>() -> Self
+    where
+        N: Declares<A>,
+    {
+        Self { tpdos: N::DECLARED_TPDOS, rpdos: N::DECLARED_RPDOS, sync: Sync::new() }
     }
 }
 
-impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
+/// The TPDOs of a new device; panics, at compile time, with what is wrong.
+pub(crate) const fn declared_tpdos<A: Application, const TPDOS: usize>() -> [Pdo; TPDOS] {
+    assert!(TPDOS <= MAX_PDOS, "a node has at most 16 TPDOs");
+    assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
+    let mut tpdos = [Pdo::UNUSED; TPDOS];
+    let mut at = 0;
+    while at < A::TPDOS.len() {
+        tpdos[at] = Pdo::declared_tpdo(at + 1, &A::TPDOS[at], A::OBJECTS);
+        at += 1;
+    }
+    tpdos
+}
+
+/// The RPDOs of a new device; panics, at compile time, with what is wrong.
+pub(crate) const fn declared_rpdos<A: Application, const RPDOS: usize>() -> [Pdo; RPDOS] {
+    assert!(RPDOS <= MAX_PDOS, "a node has at most 16 RPDOs");
+    assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
+    let mut rpdos = [Pdo::UNUSED; RPDOS];
+    let mut at = 0;
+    while at < A::RPDOS.len() {
+        rpdos[at] = Pdo::declared_rpdo(at + 1, &A::RPDOS[at], A::OBJECTS);
+        at += 1;
+    }
+    rpdos
+}
+
+impl<N: Numbers> Pdos<N> {
     /// Whether there are any.
-    pub const IS_USED: bool = TPDOS + RPDOS > 0;
+    pub const IS_USED: bool = N::TPDOS + N::RPDOS > 0;
 
     /// The PDOs with these parameters.
-    pub const fn new(configuration: Configuration<TPDOS, RPDOS>) -> Self {
+    pub const fn new(configuration: Configuration<N>) -> Self {
         Self {
             current: configuration,
-            tpdos: [Transmission::UNUSED; TPDOS],
+            tpdos: List::UNUSED,
             synchronous: Tpdos::NONE,
             event_driven: Tpdos::NONE,
             due: Tpdos::NONE,
-            rpdos: [Reception::UNUSED; RPDOS],
+            rpdos: List::UNUSED,
             is_sync_wrong: false,
             window_end: None,
             is_window_over: false,
@@ -114,12 +123,12 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     }
 
     /// The parameters in use.
-    pub const fn configuration(&self) -> &Configuration<TPDOS, RPDOS> {
+    pub const fn configuration(&self) -> &Configuration<N> {
         &self.current
     }
 
     /// Restarts as after power-on, with these parameters.
-    pub fn reset(&mut self, persistent: &Configuration<TPDOS, RPDOS>) {
+    pub fn reset(&mut self, persistent: &Configuration<N>) {
         if Self::IS_USED {
             self.current = *persistent;
             self.stop();
@@ -129,14 +138,16 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     fn stop(&mut self) {
         (self.synchronous, self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE, Tpdos::NONE);
-        self.tpdos.fill(Transmission::UNUSED);
-        self.rpdos.fill(Reception::UNUSED);
+        self.tpdos.as_mut().fill(Transmission::UNUSED);
+        self.rpdos.as_mut().fill(Reception::UNUSED);
         (self.window_end, self.is_window_over) = (None, false);
     }
 
     /// Makes the parameters of a TPDO effective, and the TPDO due.
     fn start_tpdo(&mut self, at: usize, node: Option<NodeId>) {
-        let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at)) else {
+        let (Some(tpdo), Some(pdo)) =
+            (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
+        else {
             return;
         };
         for set in [&mut self.synchronous, &mut self.event_driven, &mut self.due] {
@@ -158,7 +169,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     /// Makes the parameters of an RPDO effective, and forgets what it has received.
     fn start_rpdo(&mut self, at: usize, node: Option<NodeId>) {
         let cob_id = self.rpdo_cob_id(at, node).filter(|_| self.is_running);
-        if let Some(rpdo) = self.rpdos.get_mut(at) {
+        if let Some(rpdo) = self.rpdos.as_mut().get_mut(at) {
             *rpdo = Reception::new(cob_id);
         }
     }
@@ -170,7 +181,12 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     /// The COB-ID of an RPDO, if it is valid.
     pub fn rpdo_cob_id(&self, at: usize, node: Option<NodeId>) -> Option<u16> {
-        self.current.rpdos.get(at)?.cob_id.active(base(Direction::Receive, at), Some(node?))
+        self.current
+            .rpdos
+            .as_ref()
+            .get(at)?
+            .cob_id
+            .active(base(Direction::Receive, at), Some(node?))
     }
 
     /// Follows the NMT state: PDOs live in NMT operational. Returns whether this state has ended.
@@ -181,14 +197,14 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             return false;
         }
         self.stop();
-        (0..TPDOS).for_each(|at| self.start_tpdo(at, node));
-        (0..RPDOS).for_each(|at| self.start_rpdo(at, node));
+        (0..N::TPDOS).for_each(|at| self.start_tpdo(at, node));
+        (0..N::RPDOS).for_each(|at| self.start_rpdo(at, node));
         was_running
     }
 
     /// Makes all event-driven TPDOs due, since frames may have been dropped.
     pub fn note_resumed(&mut self) {
-        self.tpdos.iter_mut().for_each(Transmission::restart);
+        self.tpdos.as_mut().iter_mut().for_each(Transmission::restart);
         self.due = self.event_driven;
     }
 
@@ -200,7 +216,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     /// Makes the TPDO with this number, from 1, due without a change, if it is in use. One of type 0 waits for SYNC.
     pub fn request(&mut self, number: u8) {
         let at = usize::from(number).wrapping_sub(1);
-        if let Some(tpdo) = self.tpdos.get_mut(at) {
+        if let Some(tpdo) = self.tpdos.as_mut().get_mut(at) {
             tpdo.request();
             if self.event_driven.has(at) {
                 self.due.add(at);
@@ -235,7 +251,9 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         errors: &mut Emergency,
         now: Instant,
     ) {
-        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
+        for (number, (rpdo, pdo)) in
+            (1..).zip(self.rpdos.as_mut().iter_mut().zip(self.current.rpdos.as_ref()))
+        {
             if !rpdo.receives(frame.cob_id()) {
                 continue;
             }
@@ -265,7 +283,9 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             }
             return;
         };
-        for (number, (rpdo, pdo)) in (1..).zip(self.rpdos.iter_mut().zip(&self.current.rpdos)) {
+        for (number, (rpdo, pdo)) in
+            (1..).zip(self.rpdos.as_mut().iter_mut().zip(self.current.rpdos.as_ref()))
+        {
             if rpdo.handle_sync(pdo, application) {
                 application.handle(Event::Received(number));
             }
@@ -274,7 +294,8 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         self.window_end = self.current.sync.window_end(now);
         self.is_window_over = false;
         for at in self.synchronous {
-            if let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+            if let (Some(tpdo), Some(pdo)) =
+                (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
                 && tpdo.handle_sync(pdo, counter)
             {
                 self.due.add(at);
@@ -284,7 +305,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     /// Ends the errors that are no longer present.
     pub fn end_errors(&self, errors: &mut Emergency) {
-        let has = |code| self.rpdos.iter().any(|rpdo| rpdo.fault() == Some(code));
+        let has = |code| self.rpdos.as_ref().iter().any(|rpdo| rpdo.fault() == Some(code));
         for (code, is_present) in [
             (rpdo::TOO_SHORT, has(rpdo::TOO_SHORT)),
             (rpdo::TOO_LONG, has(rpdo::TOO_LONG)),
@@ -299,7 +320,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     /// The next RPDO, from 1, that begins to be late at `now`.
     pub fn next_late(&mut self, errors: &mut Emergency, now: Instant) -> Option<u8> {
-        let at = self.rpdos.iter_mut().position(|rpdo| rpdo.poll(now))?;
+        let at = self.rpdos.as_mut().iter_mut().position(|rpdo| rpdo.poll(now))?;
         let number = (at as u8).wrapping_add(1);
         errors.report(PROCESS_DATA, rpdo::LATE, COMMUNICATION, [number, 0, 0, 0, 0]);
         Some(number)
@@ -307,12 +328,12 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     /// The time at which [`next_late`](Self::next_late) has something to do.
     pub fn late_at(&self) -> Option<Instant> {
-        self.rpdos.iter().filter_map(Reception::deadline).reduce(Instant::earlier)
+        self.rpdos.as_ref().iter().filter_map(Reception::deadline).reduce(Instant::earlier)
     }
 
     /// Ends the event timers of RPDOs until their next frames, since nobody has sent any during a switch of the bit rate.
     pub fn end_event_timers(&mut self) {
-        self.rpdos.iter_mut().for_each(Reception::end_event_timer);
+        self.rpdos.as_mut().iter_mut().for_each(Reception::end_event_timer);
     }
 
     /// Ends the synchronous window, if it is over: TPDOs that have not been sent by then are dropped.
@@ -335,7 +356,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         let mut timed_out = None;
         if !self.event_driven.is_empty() {
             for at in self.event_driven {
-                if self.tpdos.get_mut(at).is_some_and(|tpdo| tpdo.ends_inhibit_time(now)) {
+                if self.tpdos.as_mut().get_mut(at).is_some_and(|tpdo| tpdo.ends_inhibit_time(now)) {
                     self.due.add(at);
                 }
             }
@@ -345,7 +366,8 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             }
         }
         while let Some(at) = self.due.take_first() {
-            let (Some(tpdo), Some(pdo)) = (self.tpdos.get_mut(at), self.current.tpdos.get(at))
+            let (Some(tpdo), Some(pdo)) =
+                (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
             else {
                 continue;
             };
@@ -363,11 +385,15 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     /// The TPDO whose event timer has been over for the longest time, with its end.
     pub fn first_timed_out(&self, now: Instant) -> Option<(usize, Instant)> {
-        if TPDOS == 0 {
+        if N::TPDOS == 0 {
             return None;
         }
         let timed_out = self.event_driven.into_iter().filter_map(|at| {
-            let end = self.tpdos.get(at)?.is_timed_out(self.current.tpdos.get(at)?, now)?;
+            let end = self
+                .tpdos
+                .as_ref()
+                .get(at)?
+                .is_timed_out(self.current.tpdos.as_ref().get(at)?, now)?;
             Some((at, end))
         });
         timed_out.reduce(|first, other| if first.1.has_come(other.1) { first } else { other })
@@ -377,7 +403,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
     /// whose event timer is over.
     pub fn poll_at(&self, postpone: impl Fn(Instant) -> Option<Instant>) -> Option<Instant> {
         let due = |at| {
-            let tpdo: &Transmission = self.tpdos.get(at)?;
+            let tpdo: &Transmission = self.tpdos.as_ref().get(at)?;
             tpdo.inhibited_until().or_else(|| postpone(tpdo.event_at()?))
         };
         self.event_driven
@@ -389,16 +415,16 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
 
     fn pdo(&self, direction: Direction, at: usize) -> Result<&Pdo, Abort> {
         let pdos: &[Pdo] = match direction {
-            Direction::Transmit => &self.current.tpdos,
-            Direction::Receive => &self.current.rpdos,
+            Direction::Transmit => self.current.tpdos.as_ref(),
+            Direction::Receive => self.current.rpdos.as_ref(),
         };
         pdos.get(at).ok_or(Abort::NoObject)
     }
 
     fn pdo_mut(&mut self, direction: Direction, at: usize) -> Result<&mut Pdo, Abort> {
         let pdos: &mut [Pdo] = match direction {
-            Direction::Transmit => &mut self.current.tpdos,
-            Direction::Receive => &mut self.current.rpdos,
+            Direction::Transmit => self.current.tpdos.as_mut(),
+            Direction::Receive => self.current.rpdos.as_mut(),
         };
         pdos.get_mut(at).ok_or(Abort::NoObject)
     }
@@ -471,7 +497,7 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
             Receive => self.start_rpdo(at, node),
             Transmit => {
                 if sub_index == INHIBIT_TIME
-                    && let Some(tpdo) = self.tpdos.get_mut(at)
+                    && let Some(tpdo) = self.tpdos.as_mut().get_mut(at)
                 {
                     tpdo.end_inhibit_time();
                 }
@@ -480,6 +506,18 @@ impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
         }
         Ok(())
     }
+}
+
+impl Element for Pdo {
+    const UNUSED: Self = Self::UNUSED;
+}
+
+impl Element for Transmission {
+    const UNUSED: Self = Self::UNUSED;
+}
+
+impl Element for Reception {
+    const UNUSED: Self = Self::UNUSED;
 }
 
 /// A set of TPDOs.

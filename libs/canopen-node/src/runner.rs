@@ -17,7 +17,7 @@ pub use asynchronous::{AsyncController, AsyncSystem};
 pub use controller::{BusError, Controller, Mode, Received, Sample};
 
 use crate::{
-    Action, Application, BitRate, BusEvent, Frame, Instant, Node, Settings,
+    Action, Application, BitRate, BusEvent, Frame, Instant, Node, Numbers, Settings,
     application::NoApplication,
     emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
@@ -38,15 +38,8 @@ macro_rules! log {
 
 /// Passes the stored parameters to a node before all other calls, and reports a loss of its settings. `found` is what
 /// the log was found with; returns that, or a failure.
-pub fn restore<
-    F: NorFlash,
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
-    const STORED_LEN: usize,
->(
-    node: &mut Node<A, TPDOS, RPDOS, PRODUCERS>,
+pub fn restore<F: NorFlash, A: Application, const STORED_LEN: usize>(
+    node: &mut Node<A>,
     log: &mut Log<F, STORED_LEN>,
     found: Found,
 ) -> Found {
@@ -80,15 +73,8 @@ const HALT_MICROS: u32 = 500_000;
 
 /// The node with its controller and the rest of its board.
 #[derive(Debug)]
-pub struct Runner<
-    C: Controller,
-    S: System,
-    A: Application = NoApplication,
-    const TPDOS: usize = 0,
-    const RPDOS: usize = 0,
-    const PRODUCERS: usize = 0,
-> {
-    node: Node<A, TPDOS, RPDOS, PRODUCERS>,
+pub struct Runner<C: Controller, S: System, A: Application = NoApplication> {
+    node: Node<A>,
     bus: Bus<C>,
     system: S,
     queue: TransmitQueue,
@@ -104,18 +90,10 @@ pub struct Runner<
     store: Option<Settings>,
 }
 
-impl<
-    C: Controller,
-    S: System,
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
-> Runner<C, S, A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
     /// listen first.
-    pub fn new(node: Node<A, TPDOS, RPDOS, PRODUCERS>, can: C, mut system: S) -> Self {
+    pub fn new(node: Node<A>, can: C, mut system: S) -> Self {
         let step_at = system.now();
         let mut bus = Bus::new(can, node.bit_rate());
         if !node.is_listening() {
@@ -137,7 +115,7 @@ impl<
     }
 
     /// The node.
-    pub const fn node(&self) -> &Node<A, TPDOS, RPDOS, PRODUCERS> {
+    pub const fn node(&self) -> &Node<A> {
         &self.node
     }
 
@@ -396,7 +374,7 @@ impl<
                 self.set_receives();
             }
             Action::SetReceives => self.set_receives(),
-            Action::DropPdos if TPDOS > 0 => {
+            Action::DropPdos if A::Numbers::TPDOS > 0 => {
                 self.drop_frames(|node, cob_id| node.is_pdo(cob_id));
             }
             Action::DropPdos => {}
@@ -451,10 +429,7 @@ impl<
     }
 
     /// Drops the pending frames with these COB-IDs; a frame on the bus now continues.
-    fn drop_frames(
-        &mut self,
-        are_dropped: impl Fn(&Node<A, TPDOS, RPDOS, PRODUCERS>, u16) -> bool,
-    ) {
+    fn drop_frames(&mut self, are_dropped: impl Fn(&Node<A>, u16) -> bool) {
         let are_dropped = |cob_id| are_dropped(&self.node, cob_id);
         self.queue.drop_frames(are_dropped);
         self.bus.can.drop_frames(are_dropped);

@@ -19,7 +19,7 @@ use testkit::{
     sdo_messages::{block_download, block_upload, download, upload},
 };
 
-type Board = NodeRig<Machine, 2, 2, 2>;
+type Board = NodeRig<Machine>;
 
 /// The length of the log.
 const LOG_LEN: u32 = 200;
@@ -44,8 +44,11 @@ objects! {
 }
 
 impl Application for Machine {
-    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6200, 2)])];
-    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1), (0x6200, 2)])];
+    const TPDOS: &'static [Tpdo] =
+        &[Tpdo::new(&[(0x6000, 1), (0x6200, 2)]), Tpdo::UNUSED];
+    const RPDOS: &'static [Rpdo] =
+        &[Rpdo::new(&[(0x6200, 1), (0x6200, 2)]), Rpdo::UNUSED];
+    const PRODUCERS: usize = 2;
 
     fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
         Ok(LOG_LEN)

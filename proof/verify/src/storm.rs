@@ -63,11 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn rage<A: Stormed, const T: usize, const R: usize, const P: usize>(
-    arguments: &Arguments,
-    image: &Image,
-    mut storm: ImageStorm<A, T, R, P>,
-) {
+fn rage<A: Stormed>(arguments: &Arguments, image: &Image, mut storm: ImageStorm<A>) {
     let begin = Instant::now();
     for part in 0..PARTS {
         let all = arguments.frames;

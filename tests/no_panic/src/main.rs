@@ -140,9 +140,7 @@ fn run_node() {
 }
 
 /// Calls all of a node. Between the calls it is in any state that its types allow.
-fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>(
-    node: &mut Node<A, TPDOS, RPDOS, PRODUCERS>,
-) {
+fn drive<A: Application>(node: &mut Node<A>) {
     if let Some(frame) = Frame::from_padded(any(0), any(0), any([0; 8])) {
         black_box((frame.cob_id(), frame.data()));
         black_box(black_box(&mut *node).handle_frame(&any(frame), any_instant()));
@@ -165,7 +163,7 @@ fn drive<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS
     black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
 }
 
-type ObjectsNode = Node<Objects, 4, 4, 16>;
+type ObjectsNode = Node<Objects>;
 
 objects! {
     /// An object of each kind.
@@ -194,8 +192,19 @@ objects! {
 
 /// An application that answers arbitrarily.
 impl Application for Objects {
-    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x2100, 2)]).with_event_timer(10)];
-    const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x2100, 2)]).with_transmission_type(0)];
+    const TPDOS: &'static [Tpdo] = &[
+        Tpdo::new(&[(0x2100, 2)]).with_event_timer(10),
+        Tpdo::UNUSED,
+        Tpdo::UNUSED,
+        Tpdo::UNUSED,
+    ];
+    const RPDOS: &'static [Rpdo] = &[
+        Rpdo::new(&[(0x2100, 2)]).with_transmission_type(0),
+        Rpdo::UNUSED,
+        Rpdo::UNUSED,
+        Rpdo::UNUSED,
+    ];
+    const PRODUCERS: usize = 16;
 
     fn accept(&mut self, value: &ObjectValue) -> Result<(), Abort> {
         black_box(value);

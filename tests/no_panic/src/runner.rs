@@ -4,7 +4,7 @@
 use core::hint::black_box;
 
 use canopen_node::{
-    BitRate, Frame, Instant, Node, Receives,
+    BitRate, Frame, Instant, Node, Numbers, Receives,
     indicator::BusState,
     lss::StoreError,
     runner::{BusError, Controller, Mode, Received, Runner, Sample, System},
@@ -34,11 +34,11 @@ pub fn drive() {
 struct Board;
 
 impl Controller for Board {
-    fn start<const RPDOS: usize, const PRODUCERS: usize>(
+    fn start<N: Numbers>(
         &mut self,
         mode: Mode,
         bit_rate: BitRate,
-        receives: &Receives<RPDOS, PRODUCERS>,
+        receives: &Receives<N>,
     ) -> bool {
         black_box((mode, bit_rate, receives));
         any(true)

@@ -13,7 +13,7 @@
 use core::{iter, mem};
 
 use canopen_node::{
-    BitRate, Frame, Receives,
+    BitRate, Frame, Numbers, Receives,
     indicator::BusState,
     lss,
     runner::{self, BusError, Mode, Received, Sample},
@@ -86,12 +86,7 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     ///
     /// The controllers of some chips drive the transmit line dominant in silent mode (RM0090, 32.5.1), so a listener
     /// does not get the pin.
-    fn start<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        mode: Mode,
-        bit_rate: BitRate,
-        receives: &Receives<RPDOS, PRODUCERS>,
-    ) -> bool {
+    fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, receives: &Receives<N>) -> bool {
         self.is_listening = mode == Mode::Listen;
         self.receives_all = receives.all;
         // A controller that is reset while it has the pin may leave it dominant.
@@ -115,12 +110,10 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     }
 
     /// Lets the frames that the node receives pass to FIFO 0.
-    fn set_receives<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        receives: &Receives<RPDOS, PRODUCERS>,
-    ) {
+    fn set_receives<N: Numbers>(&mut self, receives: &Receives<N>) {
         let Receives { all, services, rpdos, heartbeats } = receives;
         self.receives_all = *all;
+        let (rpdos, heartbeats) = (rpdos.as_ref(), heartbeats.as_ref());
         let others = rpdos.chunks(IDS_PER_BANK).chain(heartbeats.chunks(IDS_PER_BANK));
         let lists = iter::once(services.as_slice()).chain(others);
 

@@ -1,11 +1,12 @@
 //! The example application `io` in a storm: its objects by every SDO service, its PDOs, its stored parameters and the
 //! heartbeat that it watches.
 
+use canopen_node::Application as _;
 use emulator::{
     Time,
     can::{Frame, Id},
 };
-use example_io::application::{Application, RPDOS, TPDOS, test_content};
+use example_io::application::{Application, test_content};
 
 use super::{
     NMT, Stormed, commissioning, download_by_any_service, save_or_load, server, to_server,
@@ -107,7 +108,7 @@ fn process_data(random: &mut Random, node_id: u8) -> Frame {
         3 => Frame::data(SYNC, &[random.pick(&[1, 2, 3, 240])]),
         4 => Frame::data(Id::Standard(0x700 + u16::from(PRODUCER)), &[random.pick(&[0, 5, 127])]),
         _ => {
-            let pdo = random.within(0..RPDOS as u64) as u16;
+            let pdo = random.within(0..Application::RPDOS.len() as u64) as u16;
             let cob_id = random.pick(&cob_ids(0x200, pdo, node_id));
             let data = [random.byte() & 7, random.byte(), 0, 0, 0, random.byte(), 0, 0];
             let len = random.pick(&[0, 1, 1, 2, 5, 6, 8]);
@@ -155,9 +156,9 @@ fn configure_pdo(random: &mut Random, node_id: u8) -> Vec<[u8; 8]> {
     const NOT_VALID: u32 = 0x8000_0000;
     let is_tpdo = random.one_in(2);
     let (parameters, base, number, values) = if is_tpdo {
-        (0x1800, 0x180, TPDOS, &TRANSMITTED[..])
+        (0x1800, 0x180, Application::TPDOS.len(), &TRANSMITTED[..])
     } else {
-        (0x1400, 0x200, RPDOS, &RECEIVED[..])
+        (0x1400, 0x200, Application::RPDOS.len(), &RECEIVED[..])
     };
     let pdo = random.within(0..number as u64) as u16;
     let (parameter, mapping) = (parameters + pdo, parameters + pdo + 0x200);

@@ -40,14 +40,9 @@ const PATIENCE: Time = Time::from_ms(20);
 const LAST_FRAMES: usize = 12;
 
 /// An emulated board with the release image, the node in the process as its model, and the frames sent to both.
-pub struct ImageStorm<
-    A: Stormed = NoApplication,
-    const TPDOS: usize = 0,
-    const RPDOS: usize = 0,
-    const PRODUCERS: usize = 0,
-> {
+pub struct ImageStorm<A: Stormed = NoApplication> {
     rig: ImageRig,
-    model: NodeRig<A, TPDOS, RPDOS, PRODUCERS>,
+    model: NodeRig<A>,
     /// Gives the model the inputs that the board samples, which never change.
     sample: Box<dyn Fn(&mut A)>,
     random: Random,
@@ -70,8 +65,7 @@ pub struct ImageStorm<
 }
 
 /// The storm against the image with the example `io`.
-pub type ExampleStorm =
-    ImageStorm<io::Application, { io::TPDOS }, { io::RPDOS }, { io::PRODUCERS }>;
+pub type ExampleStorm = ImageStorm<io::Application>;
 
 impl ImageStorm {
     /// A board with this device and stored settings: no node-ID, 1 Mbit/s.
@@ -109,9 +103,7 @@ fn rig(mut board: Emulated, image: &Image, settings: Settings) -> ImageRig {
     rig
 }
 
-impl<A: Stormed, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    ImageStorm<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Stormed> ImageStorm<A> {
     fn with(
         mut rig: ImageRig,
         device: Device,

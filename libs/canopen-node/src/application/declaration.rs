@@ -312,6 +312,11 @@ macro_rules! objects {
                 type SdoBuffer = [u8; application::longest(&[
                     $($(<application::ValueOf<$type> as application::ValueType>::CAPACITY,)+)*
                 ])];
+                type Numbers = $crate::Count<
+                    { <$name as $crate::Application>::TPDOS.len() },
+                    { <$name as $crate::Application>::RPDOS.len() },
+                    { <$name as $crate::Application>::PRODUCERS },
+                >;
 
                 const OBJECTS: &'static [object_dictionary::Entry] =
                     &application::table::<{ application::count(ROWS) }>(ROWS);

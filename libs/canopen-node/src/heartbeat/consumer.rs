@@ -7,6 +7,7 @@ use crate::{
     application::Event,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
+    numbers::{Element, List, Numbers},
     object_dictionary::{
         Access::{Const, ReadWrite},
         DataType::{Unsigned8, Unsigned32},
@@ -24,19 +25,22 @@ pub(crate) const INDEX: u16 = 0x1016;
 /// Error code of a heartbeat that is missing (CiA 301, table 26).
 const LOST: u16 = 0x8130;
 
-/// The heartbeat consumer of a node, which watches up to `PRODUCERS` others.
+/// The heartbeat consumer of a node.
 #[derive(Clone, Debug)]
-pub(crate) struct Consumer<const PRODUCERS: usize> {
-    producers: Producers<PRODUCERS>,
-    watches: [Watch; PRODUCERS],
+pub(crate) struct Consumer<N: Numbers> {
+    producers: Producers<N>,
+    watches: N::Producers<Watch>,
 }
 
 /// The entries of 1016h.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Producers<const PRODUCERS: usize>([Producer; PRODUCERS]);
+pub(crate) struct Producers<N: Numbers>(N::Producers<Producer>);
 
-impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
-    const ALL_ROWS: [Entry; MAX_PRODUCERS + 1] = {
+/// The rows of 1016h for this number of producers.
+pub(crate) struct Rows<const PRODUCERS: usize>;
+
+impl<const PRODUCERS: usize> Rows<PRODUCERS> {
+    const OF_MOST: [Entry; MAX_PRODUCERS + 1] = {
         let highest = Object::HighestSubIndex(PRODUCERS as u8);
         let mut rows = [row(INDEX, 0, Unsigned8, Const, highest); MAX_PRODUCERS + 1];
         let mut at = 1;
@@ -47,42 +51,44 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
         }
         rows
     };
-    /// The rows of 1016h in the object dictionary.
-    pub const ROWS: &'static [Entry] =
-        if PRODUCERS > 0 { Self::ALL_ROWS.split_at(PRODUCERS + 1).0 } else { &[] };
+    /// The rows of the object dictionary.
+    pub const ALL: &'static [Entry] =
+        if PRODUCERS > 0 { Self::OF_MOST.split_at(PRODUCERS + 1).0 } else { &[] };
+}
 
+impl<N: Numbers> Consumer<N> {
     /// A consumer that watches nobody.
     pub const fn new() -> Self {
-        const { assert!(PRODUCERS <= MAX_PRODUCERS, "a node watches at most 16 heartbeat producers") };
-        Self { producers: Producers::UNUSED, watches: [Watch::Waiting; PRODUCERS] }
+        const { assert!(N::PRODUCERS <= MAX_PRODUCERS, "a node watches at most 16 heartbeat producers") };
+        Self { producers: Producers::UNUSED, watches: List::UNUSED }
     }
 
     /// The entries in use.
-    pub const fn producers(&self) -> &Producers<PRODUCERS> {
+    pub const fn producers(&self) -> &Producers<N> {
         &self.producers
     }
 
     /// Restarts as after power-on, with these entries.
-    pub fn reset(&mut self, persistent: &Producers<PRODUCERS>) {
+    pub fn reset(&mut self, persistent: &Producers<N>) {
         self.producers = *persistent;
-        self.watches.fill(Watch::Waiting);
+        self.watches.as_mut().fill(Watch::Waiting);
     }
 
     /// The COB-ID of the heartbeat of an entry, if it is watched.
     pub fn cob_id(&self, at: usize) -> Option<u16> {
-        self.producers.0.get(at)?.cob_id()
+        self.producers.0.as_ref().get(at)?.cob_id()
     }
 
     /// Grants all producers a new period, since nobody has sent heartbeats during a switch of the bit rate.
     pub fn restart(&mut self, now: Instant) {
-        for (watch, producer) in self.watches.iter_mut().zip(&self.producers.0) {
+        for (watch, producer) in self.watches.as_mut().iter_mut().zip(self.producers.0.as_ref()) {
             watch.restart(producer, now);
         }
     }
 
     /// Handles a frame that may be a heartbeat; passes the boot-ups of producers to `handle`.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant, mut handle: impl FnMut(Event)) {
-        for (watch, producer) in self.watches.iter_mut().zip(&self.producers.0) {
+        for (watch, producer) in self.watches.as_mut().iter_mut().zip(self.producers.0.as_ref()) {
             if let Some(event) = watch.handle(producer, frame, now) {
                 handle(event);
             }
@@ -91,22 +97,22 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
 
     /// The next producer whose heartbeat is missing at `now`.
     pub fn next_lost(&mut self, errors: &mut Emergency, now: Instant) -> Option<NodeId> {
-        let at = self.watches.iter_mut().position(|watch| watch.poll(now))?;
-        let lost = self.producers.0.get(at)?.node()?;
+        let at = self.watches.as_mut().iter_mut().position(|watch| watch.poll(now))?;
+        let lost = self.producers.0.as_ref().get(at)?.node()?;
         errors.report(PROCESS_DATA, LOST, COMMUNICATION, [lost.get(), 0, 0, 0, 0]);
         Some(lost)
     }
 
     /// Ends the error of a missing heartbeat, if none is missing.
     pub fn end_errors(&self, errors: &mut Emergency) {
-        if !self.watches.iter().any(Watch::is_lost) {
+        if !self.watches.as_ref().iter().any(Watch::is_lost) {
             errors.end(PROCESS_DATA, LOST);
         }
     }
 
     /// The time at which [`next_lost`](Self::next_lost) has something to do.
     pub fn poll_at(&self) -> Option<Instant> {
-        self.watches.iter().filter_map(Watch::poll_at).reduce(Instant::earlier)
+        self.watches.as_ref().iter().filter_map(Watch::poll_at).reduce(Instant::earlier)
     }
 
     /// The value of a sub-index of 1016h.
@@ -115,7 +121,7 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
     /// [`Abort::NoObject`] for sub-index 0 and behind the last entry.
     pub fn read(&self, sub_index: u8) -> Result<u32, Abort> {
         let at = usize::from(sub_index.wrapping_sub(1));
-        self.producers.0.get(at).map(Producer::value).ok_or(Abort::NoObject)
+        self.producers.0.as_ref().get(at).map(Producer::value).ok_or(Abort::NoObject)
     }
 
     /// Sets a sub-index of 1016h.
@@ -125,21 +131,21 @@ impl<const PRODUCERS: usize> Consumer<PRODUCERS> {
     pub fn write(&mut self, sub_index: u8, value: u32) -> Result<(), Abort> {
         let at = usize::from(sub_index.wrapping_sub(1));
         self.producers.set(at, value)?;
-        if let Some(watch) = self.watches.get_mut(at) {
+        if let Some(watch) = self.watches.as_mut().get_mut(at) {
             *watch = Watch::Waiting;
         }
         Ok(())
     }
 }
 
-impl<const PRODUCERS: usize> Producers<PRODUCERS> {
-    pub const UNUSED: Self = Self([Producer::UNUSED; PRODUCERS]);
+impl<N: Numbers> Producers<N> {
+    pub const UNUSED: Self = Self(List::UNUSED);
     /// The greatest number of bytes that the stored entries take.
-    pub const STORED_LEN: usize = PRODUCERS * (HEADER + 4);
+    pub const STORED_LEN: usize = N::PRODUCERS * (HEADER + 4);
 
     /// Packs the entries in use: one that is not stored is 0.
     pub fn save(&self, to: &mut Packer<'_>) {
-        let used = (1..).zip(&self.0).filter(|(_, producer)| producer.value() != 0);
+        let used = (1..).zip(self.0.as_ref()).filter(|(_, producer)| producer.value() != 0);
         for (sub_index, producer) in used {
             let value = &producer.value().to_le_bytes();
             to.put(&Parameter { index: INDEX, sub_index, data_type: Unsigned32 as u8, value });
@@ -167,11 +173,11 @@ impl<const PRODUCERS: usize> Producers<PRODUCERS> {
             return Err(Abort::InvalidValue);
         }
         let wanted = Producer { node: (value >> 16) as u8, time_ms: value as u16 };
-        let place = self.0.get_mut(at).ok_or(Abort::NoSubIndex)?;
+        let place = self.0.as_mut().get_mut(at).ok_or(Abort::NoSubIndex)?;
         let before = mem::replace(place, wanted);
-        let mut same = self.0.iter().filter(|other| other.node() == wanted.node());
+        let mut same = self.0.as_ref().iter().filter(|other| other.node() == wanted.node());
         if wanted.node().is_some() && same.nth(1).is_some() {
-            if let Some(place) = self.0.get_mut(at) {
+            if let Some(place) = self.0.as_mut().get_mut(at) {
                 *place = before;
             }
             return Err(Abort::Incompatible);
@@ -256,9 +262,15 @@ impl Watch {
     }
 }
 
-impl Producer {
-    pub const UNUSED: Self = Self { node: 0, time_ms: 0 };
+impl Element for Watch {
+    const UNUSED: Self = Self::Waiting;
+}
 
+impl Element for Producer {
+    const UNUSED: Self = Self { node: 0, time_ms: 0 };
+}
+
+impl Producer {
     /// The node that is watched. An entry without a time or with another node-ID is not used.
     pub fn node(&self) -> Option<NodeId> {
         NodeId::new(self.node).filter(|_| self.time_ms != 0)

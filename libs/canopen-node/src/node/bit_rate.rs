@@ -7,9 +7,7 @@ use crate::{
     emergency::Fault,
 };
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Node<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Node<A> {
     /// The next step of a switch or of the supervision. Without one, lets those tasks wait that a later one allows.
     pub(super) fn next_step(&mut self, now: Instant) -> Option<Action> {
         use bit_rate::Next::*;

@@ -8,6 +8,7 @@ use crate::{
     emergency::{self, Emergency},
     heartbeat::consumer::{self, Consumer, Producers},
     nmt::ErrorBehaviour,
+    numbers::{Declares, Numbers},
     object_dictionary::{DefaultValue, Description, Entry, Object},
     pdo::{self, Pdos},
     sdo::Abort,
@@ -17,41 +18,34 @@ use crate::{
 
 /// The services that a master parameterises. They take no code if all numbers are 0.
 #[derive(Clone, Debug)]
-pub(super) struct Communication<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
-    pub pdos: Pdos<TPDOS, RPDOS>,
-    pub consumer: Consumer<PRODUCERS>,
-    persistent: Configuration<TPDOS, RPDOS, PRODUCERS>,
+pub(super) struct Communication<N: Numbers> {
+    pub pdos: Pdos<N>,
+    pub consumer: Consumer<N>,
+    persistent: Configuration<N>,
     /// What the store in progress makes persistent, if that changes.
-    staged: Option<Configuration<TPDOS, RPDOS, PRODUCERS>>,
+    staged: Option<Configuration<N>>,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
 }
 
 /// The parameters that 1010h stores.
 #[derive(Clone, Copy, Debug)]
-struct Configuration<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
-    pdos: pdo::Configuration<TPDOS, RPDOS>,
-    producers: Producers<PRODUCERS>,
+struct Configuration<N: Numbers> {
+    pdos: pdo::Configuration<N>,
+    producers: Producers<N>,
     error_behaviour: ErrorBehaviour,
     emergency: emergency::Configuration,
 }
 
-impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Communication<TPDOS, RPDOS, PRODUCERS>
-{
+impl<N: Numbers> Communication<N> {
     /// Whether there is anything to do.
-    pub const IS_USED: bool = TPDOS + RPDOS + PRODUCERS > 0;
-
-    /// The rows of the object dictionary in ascending order, in tables that begin with a sub-index 0.
-    const TABLES: [&'static [Entry]; 7] = {
-        let [cob_id, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings] =
-            Pdos::<TPDOS, RPDOS>::TABLES;
-        let producers = Consumer::<PRODUCERS>::ROWS;
-        [cob_id, producers, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings]
-    };
+    pub const IS_USED: bool = N::TPDOS + N::RPDOS + N::PRODUCERS > 0;
 
     /// The services as the application declares them. A wrong declaration does not compile.
-    pub const fn new<A: Application>() -> Self {
+    pub const fn new<A: Application>() -> Self
+    where
+        N: Declares<A>,
+    {
         let declared = Configuration::declared::<A>();
         Self {
             pdos: Pdos::new(declared.pdos),
@@ -71,11 +65,14 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             table.first().is_some_and(|first| first.index <= index)
                 && table.last().is_some_and(|last| index <= last.index)
         };
-        Self::TABLES.into_iter().find(has_it)
+        N::TABLES.into_iter().find(has_it)
     }
 
     /// The rows in ascending order, with their descriptions. The defaults are those that the application declares.
-    pub fn entries<A: Application>() -> impl Iterator<Item = (Entry, Description)> {
+    pub fn entries<A: Application>() -> impl Iterator<Item = (Entry, Description)>
+    where
+        N: Declares<A>,
+    {
         let new = Self::new::<A>();
         let default = move |entry: &Entry| {
             let value = |node| new.read(entry.object, NodeId::new(node)).unwrap_or_default();
@@ -93,7 +90,7 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
             _ if entry.index == consumer::INDEX => consumer::describe(entry, default(entry)),
             _ => pdo::describe(entry, default(entry)),
         };
-        Self::TABLES.into_iter().flatten().map(move |entry| (*entry, describe(entry)))
+        N::TABLES.into_iter().flatten().map(move |entry| (*entry, describe(entry)))
     }
 
     /// Restarts as after power-on, with the persistent parameters.
@@ -179,11 +176,14 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     /// The greatest number of bytes that the stored parameters take.
-    pub const fn stored_len<A: Application>() -> usize {
+    pub const fn stored_len<A: Application>() -> usize
+    where
+        N: Declares<A>,
+    {
         // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
-        let _ = Configuration::<TPDOS, RPDOS, PRODUCERS>::declared::<A>();
-        pdo::Configuration::<TPDOS, RPDOS>::STORED_LEN
-            + Producers::<PRODUCERS>::STORED_LEN
+        let _ = Configuration::<N>::declared::<A>();
+        pdo::Configuration::<N>::STORED_LEN
+            + Producers::<N>::STORED_LEN
             + ErrorBehaviour::STORED_LEN
             + emergency::Configuration::STORED_LEN
     }
@@ -214,7 +214,10 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.
-    pub fn stage_declared<A: Application>(&mut self) {
+    pub fn stage_declared<A: Application>(&mut self)
+    where
+        N: Declares<A>,
+    {
         self.staged = Some(Configuration::declared::<A>());
     }
 
@@ -235,14 +238,15 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
     }
 }
 
-impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Configuration<TPDOS, RPDOS, PRODUCERS>
-{
+impl<N: Numbers> Configuration<N> {
     /// The parameters of a new device.
-    const fn declared<A: Application>() -> Self {
+    const fn declared<A: Application>() -> Self
+    where
+        N: Declares<A>,
+    {
         const {
             assert!(
-                TPDOS + RPDOS + PRODUCERS == 0 || !A::OBJECTS.is_empty(),
+                N::TPDOS + N::RPDOS + N::PRODUCERS == 0 || !A::OBJECTS.is_empty(),
                 "process data and the heartbeat consumer need an application with objects"
             );
         }

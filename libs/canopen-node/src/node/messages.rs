@@ -7,9 +7,7 @@ use crate::{
     nmt::{self, Command},
 };
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Node<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Node<A> {
     pub(super) fn carry_out(&mut self, command: Command) -> Option<Action> {
         let state = match command {
             Command::ResetNode => return Some(Action::ResetDevice),

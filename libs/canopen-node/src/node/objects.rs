@@ -25,9 +25,7 @@ const LOAD: u32 = u32::from_le_bytes(*b"load");
 /// The value of 1010h and 1011h: the device stores or restores on command.
 const ON_COMMAND: u32 = 1;
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Node<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Node<A> {
     pub(super) const fn serves_sdo(&self) -> bool {
         !self.bit_rate.is_switching() && self.nmt.serves_sdo()
     }
@@ -84,31 +82,23 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 }
 
 /// The parts of the node that objects read and write, at one time.
-pub(super) struct NodeObjects<
-    'a,
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
-> {
+pub(super) struct NodeObjects<'a, A: Application> {
     pub device: &'a Device,
     pub lss: &'a mut lss::Slave,
     pub bit_rate: &'a bit_rate::Control,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
     pub storing: &'a mut Storing,
-    pub communication: &'a mut Communication<TPDOS, RPDOS, PRODUCERS>,
+    pub communication: &'a mut Communication<A::Numbers>,
     pub application: &'a mut A,
     pub now: Instant,
 }
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Objects
-    for NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Objects for NodeObjects<'_, A> {
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
-        let of_communication = Communication::<TPDOS, RPDOS, PRODUCERS>::table(index);
+        let of_communication = Communication::<A::Numbers>::table(index);
         let table = match A::OBJECTS.first() {
             _ if A::SETTINGS_BY_SDO && index == settings_object::INDEX => settings_object::ROWS,
             Some(first) if first.index <= index => A::OBJECTS,
@@ -164,7 +154,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
             Object::PendingBitRate if A::SETTINGS_BY_SDO => {
                 settings_object::bit_rate(self.lss).into()
             }
-            object if Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+            object if Communication::<A::Numbers>::IS_USED => {
                 self.communication.read(object, self.lss.active_node_id())?
             }
             _ => 0,
@@ -265,9 +255,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
     }
 }
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    NodeObjects<'_, A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> NodeObjects<'_, A> {
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {
@@ -293,7 +281,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
                 let behaviour = ErrorBehaviour::new(number as u8).ok_or(Abort::InvalidValue)?;
                 self.nmt.set_error_behaviour(behaviour);
             }
-            object if Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED => {
+            object if Communication::<A::Numbers>::IS_USED => {
                 let node = self.lss.active_node_id();
                 self.communication.write(object, number, node, A::OBJECTS)?;
             }

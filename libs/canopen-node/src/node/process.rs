@@ -1,13 +1,11 @@
 //! Process data, heartbeat consumer and errors of the application, as parts of the node.
 
 use super::{Action, Node, Task, Tasks, communication::Communication, periodic::Sender};
-use crate::{Application, Frame, Instant, application::Event};
+use crate::{Application, Frame, Instant, Numbers, application::Event};
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Node<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Node<A> {
     /// Whether the node has PDOs or a heartbeat consumer.
-    const HAS_PROCESS_DATA: bool = Communication::<TPDOS, RPDOS, PRODUCERS>::IS_USED;
+    const HAS_PROCESS_DATA: bool = Communication::<A::Numbers>::IS_USED;
     /// Whether there is an application, which may have process data and report errors.
     pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
 
@@ -42,7 +40,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
         let has_left_operational = self.product.inform(state, rate, node);
         self.agenda.add(Tasks::of(&[Task::Producers]));
         self.note_values();
-        (has_left_operational && TPDOS > 0).then_some(Action::DropPdos)
+        (has_left_operational && A::Numbers::TPDOS > 0).then_some(Action::DropPdos)
     }
 
     /// Reports producers whose heartbeat is missing and RPDOs that are late, and ends the errors of process data that are

@@ -4,17 +4,15 @@ use super::communication::Communication;
 use crate::{Application, BitRate, Device, NodeId, application::Event, nmt};
 
 #[derive(Clone, Debug)]
-pub(super) struct Product<A, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> {
+pub(super) struct Product<A: Application> {
     pub device: Device,
     pub application: A,
-    pub communication: Communication<TPDOS, RPDOS, PRODUCERS>,
+    pub communication: Communication<A::Numbers>,
     /// The NMT state and the bit rate that the application knows.
     known: (nmt::State, BitRate),
 }
 
-impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
-    Product<A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<A: Application> Product<A> {
     /// A product after power-on.
     pub const fn new(device: Device, application: A, rate: BitRate) -> Self {
         let known = (nmt::State::Initialisation, rate);

@@ -29,6 +29,9 @@ pub struct Tpdo {
 }
 
 impl Tpdo {
+    /// A TPDO that carries nothing before a master maps values and sets its valid bit.
+    pub const UNUSED: Self = Self::new(&[]).invalid();
+
     /// A valid TPDO with these values, which is sent when one of them changes (transmission type 255).
     pub const fn new(mapping: &'static [(u16, u8)]) -> Self {
         Self {
@@ -88,6 +91,9 @@ pub struct Rpdo {
 }
 
 impl Rpdo {
+    /// An RPDO that carries nothing before a master maps values and sets its valid bit.
+    pub const UNUSED: Self = Self::new(&[]).invalid();
+
     /// A valid RPDO with these values, which take effect at once (transmission type 255).
     pub const fn new(mapping: &'static [(u16, u8)]) -> Self {
         Self { mapping, is_valid: true, transmission_type: 255, event_timer_ms: 0 }

@@ -11,14 +11,14 @@ const NO_REMOTE_FRAME: u32 = 1 << 30;
 
 /// The parameters of a PDO. Inhibit time and SYNC start value belong to TPDOs.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pdo {
-    pub cob_id: CobId,
-    pub mapping: Mapping,
-    pub transmission_type: u8,
+pub struct Pdo {
+    pub(super) cob_id: CobId,
+    pub(super) mapping: Mapping,
+    pub(super) transmission_type: u8,
     /// In multiples of 100 us.
-    pub inhibit_time: u16,
-    pub event_timer_ms: u16,
-    pub sync_start_value: u8,
+    pub(super) inhibit_time: u16,
+    pub(super) event_timer_ms: u16,
+    pub(super) sync_start_value: u8,
 }
 
 /// Whether CiA 301 defines a transmission type that does not depend on remote frames.
@@ -40,7 +40,7 @@ const fn check(direction: Direction, number: usize, transmission_type: u8, is_va
 }
 
 impl Pdo {
-    pub const UNUSED: Self = Self {
+    pub(super) const UNUSED: Self = Self {
         cob_id: CobId::new(false),
         mapping: Mapping::EMPTY,
         transmission_type: 255,
@@ -49,12 +49,12 @@ impl Pdo {
         sync_start_value: 0,
     };
 
-    pub const fn event_timer_micros(&self) -> u32 {
+    pub(super) const fn event_timer_micros(&self) -> u32 {
         self.event_timer_ms as u32 * 1000
     }
 
     /// The number of parameters that are stored before the mapping.
-    pub const fn stored_parameters(direction: Direction) -> usize {
+    pub(super) const fn stored_parameters(direction: Direction) -> usize {
         match direction {
             Direction::Transmit => 5,
             Direction::Receive => 2,
@@ -62,7 +62,7 @@ impl Pdo {
     }
 
     /// The TPDO with this number, from 1, as it is declared; panics, at compile time, with what is wrong.
-    pub const fn declared_tpdo(
+    pub(super) const fn declared_tpdo(
         number: usize,
         declaration: &Tpdo,
         objects: &'static [Entry],
@@ -84,7 +84,7 @@ impl Pdo {
     }
 
     /// The RPDO with this number, from 1, as it is declared; panics, at compile time, with what is wrong.
-    pub const fn declared_rpdo(
+    pub(super) const fn declared_rpdo(
         number: usize,
         declaration: &Rpdo,
         objects: &'static [Entry],
@@ -100,7 +100,7 @@ impl Pdo {
     }
 
     /// The parameters as they are stored before the mapping.
-    pub fn stored(&self) -> [u32; 5] {
+    pub(super) fn stored(&self) -> [u32; 5] {
         [
             self.cob_id.stored(),
             self.transmission_type.into(),
@@ -111,7 +111,7 @@ impl Pdo {
     }
 
     /// The PDO with these stored parameters, if they are legal and all its values exist.
-    pub fn from_stored(
+    pub(super) fn from_stored(
         stored: &[[u8; 4]],
         direction: Direction,
         objects: &'static [Entry],
@@ -137,7 +137,7 @@ impl Pdo {
     }
 
     /// The value of a sub-index of the communication parameter.
-    pub fn parameter(
+    pub(super) fn parameter(
         &self,
         direction: Direction,
         sub_index: u8,
@@ -158,7 +158,7 @@ impl Pdo {
     ///
     /// # Errors
     /// [`Abort::InvalidValue`], or [`Abort::DeviceState`] for what a valid PDO does not allow.
-    pub fn set_parameter(
+    pub(super) fn set_parameter(
         &mut self,
         sub_index: u8,
         value: u32,
@@ -182,7 +182,7 @@ impl Pdo {
     ///
     /// # Errors
     /// [`Abort::UnsupportedAccess`] while the PDO is valid, or those of [`Mapping::set`].
-    pub fn set_mapping(
+    pub(super) fn set_mapping(
         &mut self,
         direction: Direction,
         sub_index: u8,

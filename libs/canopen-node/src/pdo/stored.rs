@@ -19,6 +19,7 @@ use super::{
     tables::{RPDO_MAPPING, RPDO_PARAMETER, TPDO_MAPPING, TPDO_PARAMETER},
 };
 use crate::{
+    numbers::Numbers,
     object_dictionary::{DataType, Entry},
     settings::parameters::{HEADER, Packer, Parameter},
     sync::Sync,
@@ -30,39 +31,39 @@ const PDO: u8 = 0x20;
 const EVENT_TIMER: u8 = 5;
 const U16: u8 = DataType::Unsigned16 as u8;
 
-impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
+impl<N: Numbers> Configuration<N> {
     /// The greatest number of bytes that the stored parameters take.
     pub const STORED_LEN: usize = {
-        let of_sync = if Pdos::<TPDOS, RPDOS>::IS_USED { Sync::STORED_LEN } else { 0 };
+        let of_sync = if Pdos::<N>::IS_USED { Sync::STORED_LEN } else { 0 };
         of_sync
-            + RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
-            + RPDOS * (HEADER + 2)
-            + TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
+            + N::RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
+            + N::RPDOS * (HEADER + 2)
+            + N::TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
 
     /// Removes what is not stored: the entries of mappings that the PDO does not carry.
     pub fn remove_unused(&mut self) {
-        let pdos = self.tpdos.iter_mut().chain(&mut self.rpdos);
+        let pdos = self.tpdos.as_mut().iter_mut().chain(self.rpdos.as_mut());
         pdos.for_each(|pdo| pdo.mapping.remove_unused());
     }
 
     /// Packs the parameters of SYNC.
     pub fn save_sync(&self, to: &mut Packer<'_>) {
-        if Pdos::<TPDOS, RPDOS>::IS_USED {
+        if Pdos::<N>::IS_USED {
             self.sync.save(to);
         }
     }
 
     /// Packs the parameters of the PDOs.
     pub fn save(&self, to: &mut Packer<'_>) {
-        for (index, rpdo) in (RPDO_PARAMETER..).zip(&self.rpdos) {
+        for (index, rpdo) in (RPDO_PARAMETER..).zip(self.rpdos.as_ref()) {
             put_pdo(to, index, rpdo, Direction::Receive);
             if rpdo.event_timer_ms != 0 {
                 let value = &rpdo.event_timer_ms.to_le_bytes();
                 to.put(&Parameter { index, sub_index: EVENT_TIMER, data_type: U16, value });
             }
         }
-        for (index, tpdo) in (TPDO_PARAMETER..).zip(&self.tpdos) {
+        for (index, tpdo) in (TPDO_PARAMETER..).zip(self.tpdos.as_ref()) {
             put_pdo(to, index, tpdo, Direction::Transmit);
         }
     }
@@ -73,21 +74,24 @@ impl<const TPDOS: usize, const RPDOS: usize> Configuration<TPDOS, RPDOS> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         match (index, sub_index, data_type) {
             (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
-                let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
+                let rpdo =
+                    self.rpdos.as_mut().get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
                 *rpdo = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
                 Some(())
             }
             (RPDO_PARAMETER..RPDO_MAPPING, EVENT_TIMER, U16) => {
-                let rpdo = self.rpdos.get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
+                let rpdo =
+                    self.rpdos.as_mut().get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
                 rpdo.event_timer_ms = value.try_into().ok().map(u16::from_le_bytes)?;
                 Some(())
             }
             (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
-                let tpdo = self.tpdos.get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
+                let tpdo =
+                    self.tpdos.as_mut().get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
                 *tpdo = Pdo::from_stored(words(value)?, Direction::Transmit, objects)?;
                 Some(())
             }
-            _ if Pdos::<TPDOS, RPDOS>::IS_USED => self.sync.take(parameter),
+            _ if Pdos::<N>::IS_USED => self.sync.take(parameter),
             _ => None,
         }
     }

@@ -1,6 +1,6 @@
 //! The rows of PDOs in the object dictionary, as many as the node has.
 
-use super::{Pdos, mapping::MAX_MAPPED};
+use super::mapping::MAX_MAPPED;
 use crate::{
     object_dictionary::{
         Access::{Const, ReadWrite},
@@ -30,16 +30,19 @@ macro_rules! rows {
     }};
 }
 
-impl<const TPDOS: usize, const RPDOS: usize> Pdos<TPDOS, RPDOS> {
+/// The rows of these numbers of PDOs.
+pub struct Tables<const TPDOS: usize, const RPDOS: usize>;
+
+impl<const TPDOS: usize, const RPDOS: usize> Tables<TPDOS, RPDOS> {
     const RPDO_PARAMETERS: [[Entry; 4]; RPDOS] = rows!(RPDOS, rpdo_parameter);
     const RPDO_MAPPINGS: [MappingRows; RPDOS] = rows!(RPDOS, rpdo_mapping);
     const TPDO_PARAMETERS: [[Entry; 6]; TPDOS] = rows!(TPDOS, tpdo_parameter);
     const TPDO_MAPPINGS: [MappingRows; TPDOS] = rows!(TPDOS, tpdo_mapping);
 
     /// The rows in ascending order, in tables that begin with a sub-index 0: 1005h to 1007h, 1019h, and those of RPDOs and TPDOs.
-    pub const TABLES: [&'static [Entry]; 6] = [
-        if Self::IS_USED { sync::ROWS } else { &[] },
-        if Self::IS_USED { sync::COUNTER_OVERFLOW_ROW } else { &[] },
+    pub const ALL: [&'static [Entry]; 6] = [
+        if TPDOS + RPDOS > 0 { sync::ROWS } else { &[] },
+        if TPDOS + RPDOS > 0 { sync::COUNTER_OVERFLOW_ROW } else { &[] },
         Self::RPDO_PARAMETERS.as_flattened(),
         Self::RPDO_MAPPINGS.as_flattened(),
         Self::TPDO_PARAMETERS.as_flattened(),

@@ -32,15 +32,7 @@ pub trait AsyncSystem: System {
     fn wait_until(&mut self, at: Instant) -> impl Future<Output = ()>;
 }
 
-impl<
-    C: AsyncController,
-    S: AsyncSystem,
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
-> Runner<C, S, A, TPDOS, RPDOS, PRODUCERS>
-{
+impl<C: AsyncController, S: AsyncSystem, A: Application> Runner<C, S, A> {
     /// Runs the node until the indicators' next step, 50 ms at most, and returns the indicators to light. To be called
     /// in a loop, which may also feed a watchdog.
     ///
@@ -52,7 +44,7 @@ impl<
     ) -> Lit {
         const {
             assert!(
-                Node::<A, TPDOS, RPDOS, PRODUCERS>::STORED_LEN <= STORED_LEN,
+                Node::<A>::STORED_LEN <= STORED_LEN,
                 "the log has no room for the stored parameters of the application"
             );
         }

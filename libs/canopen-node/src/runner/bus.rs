@@ -1,7 +1,7 @@
 //! The controller, and how it runs.
 
 use super::{Controller, Mode, sampler::Sampler};
-use crate::{BitRate, Instant, Receives};
+use crate::{BitRate, Instant, Numbers, Receives};
 
 /// The controller with its mode.
 #[derive(Debug)]
@@ -38,11 +38,7 @@ impl<C: Controller> Bus<C> {
     }
 
     /// Starts the controller in its mode and at its rate.
-    pub fn restart<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        receives: &Receives<RPDOS, PRODUCERS>,
-        now: Instant,
-    ) {
+    pub fn restart<N: Numbers>(&mut self, receives: &Receives<N>, now: Instant) {
         self.is_searching = receives.all;
         self.sample(now);
         self.is_started = self.can.start(self.mode, self.bit_rate, receives);

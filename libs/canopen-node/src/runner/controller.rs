@@ -1,6 +1,6 @@
 //! The CAN controller, as a port offers it.
 
-use crate::{BitRate, BusEvent, Frame, Receives, indicator::BusState};
+use crate::{BitRate, BusEvent, Frame, Numbers, Receives, indicator::BusState};
 
 /// A CAN controller. No call may wait for the bus.
 pub trait Controller {
@@ -9,20 +9,11 @@ pub trait Controller {
     ///
     /// Returns whether it has started. If not, the runner tries again a few times a second.
     #[must_use]
-    fn start<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        mode: Mode,
-        bit_rate: BitRate,
-        receives: &Receives<RPDOS, PRODUCERS>,
-    ) -> bool;
+    fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, receives: &Receives<N>) -> bool;
 
     /// Lets the frames `receives` pass from now on; those already received stay. A controller that lets every frame
     /// pass at all times need not do anything.
-    fn set_receives<const RPDOS: usize, const PRODUCERS: usize>(
-        &mut self,
-        _receives: &Receives<RPDOS, PRODUCERS>,
-    ) {
-    }
+    fn set_receives<N: Numbers>(&mut self, _receives: &Receives<N>) {}
 
     /// The oldest received frame, or a loss of frames.
     fn receive(&mut self) -> Option<Received>;

@@ -6,7 +6,7 @@ use std::{collections::VecDeque, time::Duration};
 use crate::{has_failed, numbers};
 use canopen_node::{Action, Frame, Node};
 use conformance::{APPLICATION_LAYER, Bench, Broken, Group, Line, OWN, Outcome, Report, eds::Eds};
-use example_io::application::{self as io, Application};
+use example_io::application::Application;
 use testkit::{
     eds::{DataSheet, Product},
     flash::BoardFlash,
@@ -15,15 +15,13 @@ use testkit::{
 };
 
 const NODE: u8 = 0x40;
-/// One more than the image has: a case needs two.
-const PRODUCERS: usize = 2;
 
 /// What a line makes of a frame; `None`: it is lost.
 type Change = fn(Frame) -> Option<Frame>;
 
 /// The node, on a line that changes frames to it and from it.
 struct Saboteur {
-    rig: NodeRig<Application, { io::TPDOS }, { io::RPDOS }, PRODUCERS>,
+    rig: NodeRig<Application>,
     to_node: Change,
     of_node: Change,
     received: VecDeque<(Duration, Frame)>,
@@ -73,7 +71,7 @@ impl Line for Saboteur {
 fn right_sheet() -> String {
     let device = device(ADDRESS).with_defaults(defaults(NODE));
     let product = Product { file_name: "io.eds", vendor_name: "", description: "", device };
-    let entries = Node::<Application, { io::TPDOS }, { io::RPDOS }, PRODUCERS>::entries(&device);
+    let entries = Node::<Application>::entries(&device);
     DataSheet::new(product, entries, &Application::new()).eds()
 }
 

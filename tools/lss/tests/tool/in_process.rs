@@ -22,10 +22,7 @@ use canopen_node::{
     lss::{Address, Request},
     nmt,
 };
-use example_io::{
-    application::{Application, PRODUCERS, RPDOS, TPDOS},
-    device::DEVICE,
-};
+use example_io::{application::Application, device::DEVICE};
 use testkit::{
     flash::BoardFlash,
     image_rig::{flash_with, settings},
@@ -36,7 +33,7 @@ use testkit::{
 use crate::emulated::{Outcome, run, text};
 
 /// A board.
-pub type Rig = NodeRig<Application, TPDOS, RPDOS, PRODUCERS>;
+pub type Rig = NodeRig<Application>;
 
 /// More bits than a frame.
 const FRAME_BITS: u64 = 130;

@@ -6,12 +6,14 @@
 /// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
 /// 0x2100 { 0 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: u16 = 0, rw; }
 /// 0x2101 { 0 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A sub-index that occurs twice:
@@ -19,11 +21,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// Objects that are not sorted:
@@ -32,12 +36,14 @@
 /// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
 /// 0x2100 { 0 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2101 { 0 "Speed" speed: u16 = 0, rw; }
 /// 0x2102 { 0 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// An index of the node (2000h and below) or of nobody (above 9FFFh):
@@ -45,11 +51,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2000 { 0 "Speed" speed: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2001 { 0 "Speed" speed: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A sub-index beside 0 of an object without a name:
@@ -57,11 +65,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 1 "Speed" speed: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A value with sub-index 0 and another beside it:
@@ -69,11 +79,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: u16 = 0, rw; 1 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Motor" { 1 "Speed" speed: u16 = 0, rw; 2 "Level" level: u16 = 0, rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A default out of its limits:
@@ -81,11 +93,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: u16 = 101, rw in 0..=100; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: u16 = 100, rw in 0..=100; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// An array with another number of sub-indices:
@@ -93,11 +107,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Speeds" { 1..=3 "Speed" speeds: [u16; 2] = [0; 2], rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0; 2], rw; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A default of an array out of its limits:
@@ -105,11 +121,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 101], rw in 0..=100; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 "Speeds" { 1..=2 "Speed" speeds: [u16; 2] = [0, 100], rw in 0..=100; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A limit out of the range of the type:
@@ -118,12 +136,14 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_216; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # use canopen_node::application::Unsigned24;
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Speed" speed: Unsigned24 = 0, rw in 0..=16_777_215; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A text that is mapped into a PDO:
@@ -131,11 +151,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Label" label: &'static str = "", ro, mappable; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Label" label: &'static str = "", ro; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 ///
 /// A stored domain:
@@ -144,11 +166,13 @@
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Log" log: Domain = Domain, ro, stored; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 /// ```
 /// # use canopen_node::application::Domain;
 /// # canopen_node::objects! { struct Objects, values Value;
 /// 0x2100 { 0 "Log" log: Domain = Domain, ro; }
 /// # }
+/// # impl canopen_node::Application for Objects {}
 /// ```
 struct Refused;

@@ -8,7 +8,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 4)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
 /// A value that is not mappable, or only in the other direction:
@@ -19,7 +19,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 /// ```compile_fail,E0080
 /// # use canopen_node::{Application, Node, pdo::Tpdo};
@@ -28,7 +28,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 2)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
 /// More than eight bytes:
@@ -39,18 +39,18 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6000, 1)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
-/// More TPDOs than the node has:
+/// More than 16 TPDOs:
 /// ```compile_fail,E0080
 /// # use canopen_node::{Application, Node, pdo::Tpdo};
 /// # canopen_node::objects! { struct Machine, values MachineValue; 0x6000 "Values" { 1 "Input" input: u64 = 0, ro, mappable;
 /// #     2 "Output" output: u8 = 0, wo, mappable; 3 "Private" private: u8 = 0, rw; } }
 /// # impl Application for Machine {
-/// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]), Tpdo::new(&[])];
+/// const TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED; 17];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
 /// A transmission type with remote frames:
@@ -61,7 +61,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(253)];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
 /// Without these faults:
@@ -72,7 +72,7 @@
 /// # impl Application for Machine {
 /// const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)]).with_transmission_type(254)];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 ///
 /// An RPDO of a value that only the device writes:
@@ -83,7 +83,7 @@
 /// # impl Application for Machine {
 /// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 1)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 /// ```
 /// # use canopen_node::{Application, Node, pdo::Rpdo};
@@ -92,6 +92,6 @@
 /// # impl Application for Machine {
 /// const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 2)])];
 /// # }
-/// # const _: usize = Node::<Machine, 1, 1>::STORED_LEN;
+/// # const _: usize = Node::<Machine>::STORED_LEN;
 /// ```
 struct Refused;
