@@ -27,7 +27,6 @@ pub mod power_cut;
 #[cfg(feature = "image")]
 pub mod product;
 pub mod random;
-pub mod rig_bus;
 pub mod sdo;
 pub mod sdo_messages;
 #[cfg(feature = "image")]

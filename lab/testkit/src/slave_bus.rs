@@ -1,18 +1,20 @@
-//! A bus within the process, in virtual time, as a master with a CAN adapter sees it: slaves with and without the
-//! faults that people meet, lost frames, cut power and another master.
+//! The bus within the process, in virtual time, as a master with a CAN adapter sees it: slaves with and without the
+//! faults that people meet, frames that are lost, late or doubled, cut power and another master.
 
 #[cfg(feature = "adapter")]
 mod adapter;
 
 use std::{
     collections::{BTreeMap, VecDeque},
+    convert::Infallible,
     ops::Range,
 };
 
 use canopen_node::{
-    BitRate, BusEvent, Frame,
+    BitRate, BusEvent, Frame, Instant,
     lss::{self, REQUEST_COB_ID, RESPONSE_COB_ID},
 };
+use lss_master::{Error, Master, Procedure};
 
 use crate::{node_rig::NodeRig, random::Random};
 
@@ -33,6 +35,10 @@ pub struct Habits {
     /// The time between two looks at the one frame that it holds; others that come until then are lost. 0: it takes
     /// each frame at once.
     pub poll_us: u64,
+    /// Whether it misses a request that comes in the time to the answer to the last one.
+    pub loses_requests: bool,
+    /// The number of the tool's frames after which it has no connection.
+    pub leaves_after: u64,
     /// The command specifiers that it does not know.
     pub without: &'static [u8],
     /// The time to the same answer once more; 0: none.
@@ -55,6 +61,8 @@ impl Default for Habits {
         Self {
             answer_us: 100..300,
             poll_us: 0,
+            loses_requests: false,
+            leaves_after: u64::MAX,
             without: &[],
             again_us: 0,
             store_us: 1_000,
@@ -64,6 +72,18 @@ impl Default for Habits {
             answer_bytes: 8,
         }
     }
+}
+
+/// What happens to frames; each is a probability of 1 in so many, 0: never.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Faults {
+    /// A slave misses a frame, or the tool does.
+    pub lost: u64,
+    /// The tool receives a frame twice.
+    pub doubled: u64,
+    /// An LSS answer is late by up to so many microseconds.
+    pub late: u64,
+    pub late_us: u64,
 }
 
 /// Something that happens to a slave.
@@ -87,6 +107,8 @@ pub struct Slave {
     /// The end of the store in progress.
     stored_at: u64,
     last_answer: u64,
+    /// The time of the answer to the last request, if it has one.
+    ready_at: u64,
     /// The time of the next call.
     due: u64,
 }
@@ -109,10 +131,7 @@ struct Flight {
 /// The bus.
 pub struct SlaveBus {
     pub slaves: Vec<Slave>,
-    /// A slave misses a frame, or the tool does, with a probability of 1 in so many; 0: never.
-    pub lost: u64,
-    /// The time that a frame takes through the tool's adapter, in microseconds.
-    pub latency_us: u64,
+    pub faults: Faults,
     /// The number of frames that the tool has sent.
     pub requests: u64,
     /// Those of different content that wanted the bus at one time with one COB-ID.
@@ -125,8 +144,8 @@ pub struct SlaveBus {
     count: u64,
     flight: Option<Flight>,
     happenings: BTreeMap<(u64, u64), (usize, Happening)>,
-    /// The tool's adapter.
-    rate: BitRate,
+    /// The bit rate of the tool's adapter.
+    pub rate: BitRate,
     is_open: bool,
     may_send: bool,
     received: VecDeque<(u64, Frame)>,
@@ -137,8 +156,7 @@ impl SlaveBus {
     pub fn new(slaves: impl IntoIterator<Item = (NodeRig, Habits)>, random: Random) -> Self {
         let mut bus = Self {
             slaves: Vec::new(),
-            lost: 0,
-            latency_us: 0,
+            faults: Faults::default(),
             requests: 0,
             collisions: 0,
             random,
@@ -164,6 +182,7 @@ impl SlaveBus {
                 held: None,
                 stored_at: NEVER,
                 last_answer: 0,
+                ready_at: 0,
                 due: 0,
             });
         }
@@ -203,7 +222,7 @@ impl SlaveBus {
     /// The tool sends a frame.
     pub fn send(&mut self, frame: Frame) {
         self.requests += 1;
-        self.enqueue(self.now + self.latency_us, Source::Tool, frame);
+        self.enqueue(self.now, Source::Tool, frame);
     }
 
     /// Another master sends a frame at a time.
@@ -214,7 +233,7 @@ impl SlaveBus {
     /// Lets time pass; returns a frame that the tool receives, with the time of its end.
     pub fn run(&mut self, until: u64) -> Option<(u64, Frame)> {
         loop {
-            let delivered = self.received.front().map_or(NEVER, |(at, _)| at + self.latency_us);
+            let delivered = self.received.front().map_or(NEVER, |(at, _)| *at);
             let due = self.next_slave().map_or(NEVER, |(at, _)| at);
             let happening = self.happenings.keys().next().map_or(NEVER, |(at, _)| *at);
             let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
@@ -238,6 +257,36 @@ impl SlaveBus {
                 self.start();
             }
         }
+    }
+
+    /// Lets time pass, and drops what the tool receives.
+    pub fn pass_us(&mut self, us: u64) {
+        let until = self.now + us;
+        while self.run(until).is_some() {}
+    }
+
+    /// Carries out a procedure of the master, whose adapter is the tool's.
+    pub fn carry_out<P: Procedure>(
+        &mut self,
+        master: &mut Master,
+        procedure: P,
+    ) -> Result<P::Output, Error> {
+        let Ok(result) = lss_master::run(self, master, procedure);
+        // After a lost request two slaves may be in LSS configuration state.
+        assert!(self.collisions == 0 || self.faults.lost > 0, "answers at once are identical");
+        result
+    }
+
+    /// The number of slaves in LSS configuration state.
+    pub fn in_configuration(&mut self) -> usize {
+        // The last request may still be under way.
+        self.pass_us(10_000);
+        let is_in_configuration = |slave: &mut Slave| {
+            let is_in_it = slave.rig.is_in_configuration_state();
+            slave.rig.take_actions();
+            is_in_it
+        };
+        self.slaves.iter_mut().map(is_in_configuration).filter(|is_in_it| *is_in_it).count()
     }
 
     fn next_slave(&self) -> Option<(u64, usize)> {
@@ -290,8 +339,7 @@ impl SlaveBus {
                 slave.rig.bit_rate()
             }
         };
-        let bits = FRAME_BITS + BYTE_BITS * frame.data().len() as u64;
-        let end = now + bits * 1_000 / u64::from(rate.kbit_per_s());
+        let end = now + span(&frame, rate);
         self.free_at = end;
         self.flight = Some(Flight { frame, source, rate, end });
     }
@@ -302,7 +350,8 @@ impl SlaveBus {
         let mut is_acknowledged = self.may_send && rate == self.rate && source != Source::Tool;
         for number in 0..self.slaves.len() {
             let slave = &mut self.slaves[number];
-            if source == Source::Slave(number) || !slave.is_powered || !slave.is_connected {
+            let is_gone = !slave.is_connected || slave.habits.leaves_after < self.requests;
+            if source == Source::Slave(number) || !slave.is_powered || is_gone {
                 continue;
             }
             let receives = slave.rig.node.receives();
@@ -315,20 +364,24 @@ impl SlaveBus {
                 continue;
             }
             is_acknowledged |= slave.rig.may_transmit;
-            if !receives.contains(frame.cob_id()) || self.happens() {
+            if !receives.contains(frame.cob_id()) || self.happens(self.faults.lost) {
                 continue;
             }
             self.deliver(number, &frame);
         }
         let hears = self.is_open && self.rate == rate && source != Source::Tool;
-        if hears && !self.happens() {
+        if hears && !self.happens(self.faults.lost) {
             self.received.push_back((end, frame));
+            if self.happens(self.faults.doubled) {
+                self.free_at = end + span(&frame, rate);
+                self.received.push_back((self.free_at, frame));
+            }
         }
         self.is_unacknowledged |= source == Source::Tool && !is_acknowledged;
     }
 
-    fn happens(&mut self) -> bool {
-        self.lost > 0 && self.random.one_in(self.lost)
+    fn happens(&mut self, one_in: u64) -> bool {
+        one_in > 0 && self.random.one_in(one_in)
     }
 
     fn deliver(&mut self, number: usize, frame: &Frame) {
@@ -352,6 +405,12 @@ impl SlaveBus {
             slave.held.get_or_insert((next, *frame));
             slave.due = slave.due.min(next);
             return;
+        }
+        if is_lss && slave.habits.loses_requests {
+            if now < slave.ready_at {
+                return;
+            }
+            slave.ready_at = now + slave.habits.answer_us.start;
         }
         self.hand_over(number, frame);
     }
@@ -420,9 +479,12 @@ impl SlaveBus {
                 _ => habits.other_us.clone(),
             };
             let answer_us = if answer_us.is_empty() { 0 } else { self.random.within(answer_us) };
+            let is_late = frame.cob_id() == RESPONSE_COB_ID && self.happens(self.faults.late);
+            let late_us = if is_late { self.random.within(0..self.faults.late_us) } else { 0 };
             let slave = &mut self.slaves[number];
             slave.last_answer = slave.last_answer.max(now + answer_us);
-            let (at, again_us) = (slave.last_answer, slave.habits.again_us);
+            // A late answer may come behind the next one.
+            let (at, again_us) = (slave.last_answer + late_us, slave.habits.again_us);
             self.enqueue(at, Source::Slave(number), frame);
             if again_us > 0 && frame.cob_id() == RESPONSE_COB_ID {
                 self.enqueue(at + again_us, Source::Slave(number), frame);
@@ -452,6 +514,41 @@ impl SlaveBus {
     }
 }
 
+impl lss_master::Bus for SlaveBus {
+    type Error = Infallible;
+
+    fn now(&self) -> Instant {
+        Instant::from_micros(self.now as u32)
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Infallible> {
+        self.send(*frame);
+        Ok(())
+    }
+
+    fn receive(
+        &mut self,
+        until: Instant,
+        mut take: impl FnMut(&Frame, Instant),
+    ) -> Result<(), Infallible> {
+        let wait = until.micros_after(lss_master::Bus::now(self));
+        if let Some((_, frame)) = self.run(self.now + u64::from(wait)) {
+            take(&frame, lss_master::Bus::now(self));
+        }
+        Ok(())
+    }
+
+    fn set_bit_rate(&mut self, rate: BitRate) -> Result<(), Infallible> {
+        self.open(rate, true);
+        Ok(())
+    }
+}
+
 fn is_slave(source: Source) -> bool {
     matches!(source, Source::Slave(_))
+}
+
+/// The time that a frame is on the bus, in microseconds.
+fn span(frame: &Frame, rate: BitRate) -> u64 {
+    (FRAME_BITS + BYTE_BITS * frame.data().len() as u64) * 1_000 / u64::from(rate.kbit_per_s())
 }

@@ -186,11 +186,6 @@ impl Boards {
         Self { bus, rate: RATE, rule, memory: Memory::default(), attached: SERIAL_NUMBERS.len() }
     }
 
-    fn pass(&mut self, us: u64) {
-        let until = self.bus.now() + us;
-        while self.bus.run(until).is_some() {}
-    }
-
     fn happen(&mut self, boards: std::ops::Range<usize>, happening: Happening) {
         let now = self.bus.now();
         boards.for_each(|board| self.bus.plan(now, board, happening));
@@ -269,7 +264,7 @@ impl Line for Boards {
             self.happen(count..SERIAL_NUMBERS.len(), Happening::PowerOff);
             self.happen(0..count, Happening::PowerOn);
             self.attached = count;
-            self.pass(START_US);
+            self.bus.pass_us(START_US);
         }
         Ok(true)
     }
@@ -296,7 +291,7 @@ impl Line for Boards {
 /// The numbers and the outcomes of the cases that are wanted; empty: all.
 fn outcomes(rule: Rule, wanted: &[String]) -> Vec<(String, Outcome)> {
     let mut line = Boards::new(rule);
-    line.pass(START_US);
+    line.bus.pass_us(START_US);
     let eds = Eds::default();
     let mut bench = Bench::new(&mut line, &eds, NODE);
     let devices = SERIAL_NUMBERS.map(|number| Address::from(address(number))).to_vec();

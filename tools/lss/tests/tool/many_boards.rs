@@ -89,9 +89,7 @@ impl Slaves {
     }
 
     fn pass_ms(&self, ms: u64) {
-        let mut bus = self.adapter.bus();
-        let until = bus.now() + ms * 1_000;
-        while bus.run(until).is_some() {}
+        self.adapter.bus().pass_us(ms * 1_000);
     }
 
     /// Lets something happen to a slave so many microseconds from now on.
@@ -256,7 +254,7 @@ fn no_node_id_is_missing_or_twice_after_faults_and_another_master() {
         let known = slaves.active().into_iter().zip(&addresses);
         let known = known.filter_map(|(id, address)| Some(node(id?.get(), *address)));
         fs::write(&table, known.collect::<String>()).expect("a table");
-        slaves.adapter.bus().lost = LOST;
+        slaves.adapter.bus().faults.lost = LOST;
         slaves.pass_ms(random.within(0..1_500));
         let now = slaves.adapter.bus().now();
         for _ in 0..random.within(1..6) {
