@@ -1,6 +1,6 @@
 //! The release image with power cuts in any flash operation of its start and of two commissionings: reachable
 //! afterwards, with the old or the new settings, although an interrupted word reads differently at each power-on.
-//! `cargo verify power-cut` cuts at other instants too.
+//! `cargo verify power-cut` cuts the power of the library, in longer histories.
 
 use testkit::{boards::Variant, power_cut::image::Session};
 
@@ -11,10 +11,7 @@ fn assert_nothing_is_lost(session: Session) {
     let chip_variant = ChipVariant { cut_words_flip: true, ..ChipVariant::default() };
     let settings = board::Settings { chip_variant, ..board::Settings::default() };
     let variant = Variant { image: image(), part: part(), settings };
-    let outcome = session.course(&variant).and_then(|course| {
-        let cuts = course.in_operations(&mut random);
-        session.run(&variant, &cuts, &mut random, false)
-    });
+    let outcome = session.run(&variant, &mut random);
     let cuts = outcome.unwrap_or_else(|error| panic!("{error:#}"));
     // Two records of eight words are the least.
     assert!(cuts >= 16, "{cuts} cuts");

@@ -9,8 +9,8 @@ use testkit::{
         Operation::{Erase, Read, Write},
     },
     power_cut::{
-        EachKind, Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice,
-        cut_while_moving, store, with_each_kind,
+        EachKind, Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice, store,
+        with_each_kind,
     },
     random::Random,
     settings::{open, open_with_parameters, parameters, settings},
@@ -206,19 +206,6 @@ fn every_start_that_is_not_cut_leaves_the_places_that_cut_starts_need() {
         }
     }
     with_each_kind(&mut Starts);
-}
-
-#[test]
-fn cuts_while_the_log_moves_in_sectors_of_2_kb_and_of_16_kb_lose_nothing() {
-    let mut random = Random::from_environment();
-    let random = &mut random;
-    let cuts = cut_while_moving::<0, 4, 0x800>(2, random)
-        + cut_while_moving::<0, 4, 0x4000>(1, random)
-        + cut_while_moving::<WITH_PARAMETERS, 8, 0x800>(2, random)
-        + cut_while_moving::<0, 8, 0x4000>(1, random)
-        + cut_while_moving::<WITH_PARAMETERS, 16, 0x800>(3, random)
-        + cut_while_moving::<0, 32, 0x4000>(1, random);
-    assert!(cuts > 500, "{cuts}");
 }
 
 /// Cuts the power in each step of a store of a record, behind parameters of these lengths if there is room for them.

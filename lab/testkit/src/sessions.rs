@@ -181,9 +181,6 @@ fn rescue(variant: &Variant) {
 
 /// The power fails in each flash operation of two stores; the next power-ons find the settings from before or after.
 fn cut_power(variant: &Variant) {
-    let mut random = Random::from_seed(0);
-    let course = PowerCuts::Full.course(variant).unwrap_or_else(|error| panic!("{error:#}"));
-    let cuts = course.in_operations(&mut random);
-    let outcome = PowerCuts::Full.run(variant, &cuts, &mut random, false);
+    let outcome = PowerCuts::Full.run(variant, &mut Random::from_seed(0));
     outcome.unwrap_or_else(|error| panic!("{error:#}"));
 }
