@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use canopen_node::{
     BitRateSetting, BitRates, NodeId,
-    lss::{Address, Reaction, Slave, State},
+    lss::{Address, Reaction, State, StateMachine},
 };
 use testkit::{frames::bytes, random::Random};
 
@@ -189,7 +189,7 @@ impl Model {
 /// The slave and the model, which must not differ.
 #[derive(Clone)]
 struct Pair {
-    slave: Slave,
+    slave: StateMachine,
     model: Model,
 }
 
@@ -205,7 +205,7 @@ enum Event {
 impl Pair {
     fn new(address: [u32; 4], node_id: u8, rate: u8) -> Self {
         let [vendor_id, product_code, revision_number, serial_number] = address;
-        let slave = Slave::new(
+        let slave = StateMachine::new(
             Address { vendor_id, product_code, revision_number, serial_number },
             BitRates::possible(CLOCK_HZ).with_automatic(),
             NodeId::from_lss(node_id).expect("1..=127 or FF"),

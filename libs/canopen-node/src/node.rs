@@ -14,12 +14,13 @@ mod receives;
 mod settings_object;
 mod verification;
 
+use lss_slave::Slave;
+
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    bit_rate::Control,
     emergency::{APPLICATION, Emergency, Fault},
-    lss::{self, Reaction, Response, Slave, StoreError},
+    lss::{self, Response, StateMachine, StoreError},
     nmt::{self, Command, slave::NmtSlave},
     numbers::{List, Numbers},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
@@ -55,8 +56,7 @@ use verification::Verification;
 /// The application `A` is that of a product, with its PDOs.
 #[derive(Clone, Debug)]
 pub struct Node<A: Application = NoApplication> {
-    lss: Slave,
-    bit_rate: Control,
+    slave: Slave,
     nmt: NmtSlave,
     emergency: Emergency,
     sdo: sdo::Server<A::SdoBuffer>,
@@ -146,15 +146,13 @@ impl<A: Application> Node<A> {
             Some(settings) => settings,
             None => device.defaults,
         };
-        let bit_rate = device.bit_rates.or_automatic(persistent.bit_rate);
-        let mut bit_rate_control = Control::new(bit_rate, device.bit_rates);
+        let mut slave = Slave::new(device.address, device.bit_rates, persistent);
         if device.rescue {
-            bit_rate_control = bit_rate_control.with_rescue(device.address.serial_number);
+            slave = slave.with_rescue();
         }
         Self {
-            lss: Slave::new(device.address, device.bit_rates, persistent.node_id, bit_rate),
-            product: Product::new(device, application, bit_rate_control.in_use()),
-            bit_rate: bit_rate_control,
+            product: Product::new(device, application, slave.bit_rate().in_use()),
+            slave,
             nmt: NmtSlave::new(persistent.heartbeat_ms),
             emergency: Emergency::new(),
             sdo: sdo::Server::NEW,
@@ -207,9 +205,9 @@ impl<A: Application> Node<A> {
         self.note_dropped();
     }
 
-    /// The LSS slave of the node.
-    pub const fn lss(&self) -> &Slave {
-        &self.lss
+    /// The LSS state machine of the node.
+    pub const fn lss(&self) -> &StateMachine {
+        self.slave.lss()
     }
 
     /// The NMT state.
@@ -219,23 +217,23 @@ impl<A: Application> Node<A> {
 
     /// The active node-ID.
     pub const fn node_id(&self) -> Option<NodeId> {
-        self.lss.active_node_id()
+        self.slave.lss().active_node_id()
     }
 
     /// The bit rate at which the controller runs or listens.
     pub const fn bit_rate(&self) -> BitRate {
-        self.bit_rate.in_use()
+        self.slave.bit_rate().in_use()
     }
 
     /// The active bit rate (CiA 305): the rate stored at power-on, activated since, or found by the supervision.
     /// Automatic detection stays active after it has found a rate.
     pub const fn active_bit_rate(&self) -> BitRateSetting {
-        self.bit_rate.active()
+        self.slave.bit_rate().active()
     }
 
     /// Whether the node only listens, in search of the bit rate.
     pub const fn is_listening(&self) -> bool {
-        self.bit_rate.is_listening()
+        self.slave.bit_rate().is_listening()
     }
 
     /// The frames that the node uses; it ignores all others. They change with [`Action::SetNodeId`],
@@ -248,7 +246,7 @@ impl<A: Application> Node<A> {
         let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
         let Communication { pdos, consumer, .. } = &self.product.communication;
         Receives {
-            all: self.bit_rate.needs_all_frames(),
+            all: self.slave.bit_rate().needs_all_frames(),
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
             rpdos: List::from_fn(|at| pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
             heartbeats: List::from_fn(|at| consumer.cob_id(at).unwrap_or(UNUSED)),
@@ -271,27 +269,38 @@ impl<A: Application> Node<A> {
     /// returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        // A copy, so that a settled node has the frame in registers.
-        if !self.bit_rate.is_settled() && !self.admit(&{ *frame }, now) {
-            return None;
+        let bit_rate = self.slave.bit_rate();
+        let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
+        if !bit_rate.is_settled() {
+            self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
-        if frame.cob_id() == lss::REQUEST_COB_ID {
-            return self.handle_lss(frame.eight_bytes()?, now);
+        match self.slave.handle_frame(frame, now) {
+            Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
+            Some(action) => self.react(action),
+            // It may begin a switch.
+            None if frame.cob_id() == lss::REQUEST_COB_ID => {
+                self.agenda.add(Tasks::of(&[Task::BitRate]));
+            }
+            None if is_served => self.handle_other(frame, now),
+            None => {}
         }
-        self.handle_other(frame, now);
         None
     }
 
-    /// Passes a frame to the bit rate control, and returns whether it is served.
-    #[inline(never)] // A settled node does not call it.
-    fn admit(&mut self, frame: &Frame, now: Instant) -> bool {
-        self.agenda.add(Tasks::of(&[Task::BitRate]));
-        let is_served = self.bit_rate.handle_frame(frame, now);
-        if is_served && Some(frame.cob_id()) == self.sdo_request_cob_id() {
-            // A boot-up may precede the answer.
-            self.bit_rate.note_asked();
+    /// Makes a reaction of LSS due.
+    #[cold]
+    fn react(&mut self, action: lss_slave::Action) {
+        match action {
+            lss_slave::Action::Store => {
+                self.storing.lss_requests = self.storing.lss_requests.saturating_add(1);
+                self.agenda.add(Tasks::of(&[Task::Store]));
+            }
+            lss_slave::Action::ResetCommunication => {
+                self.nmt.handle(Command::ResetCommunication);
+                self.agenda.add(Tasks::of(&[Task::Command]));
+            }
+            _ => {}
         }
-        is_served && (!self.bit_rate.is_switching() || frame.cob_id() != lss::REQUEST_COB_ID)
     }
 
     fn handle_other(&mut self, frame: &Frame, now: Instant) {
@@ -303,6 +312,8 @@ impl<A: Application> Node<A> {
             }
         } else if Some(cob_id) == self.sdo_request_cob_id() {
             if let Some(request) = frame.eight_bytes() {
+                // A boot-up may precede the answer.
+                self.slave.note_asked();
                 self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
                 self.agenda.add(Tasks::of(&[Task::Sdo]));
             }
@@ -320,7 +331,7 @@ impl<A: Application> Node<A> {
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
     pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
-        if self.bit_rate.is_settled() {
+        if self.slave.bit_rate().is_settled() {
             if event != BusEvent::Acknowledged || self.awaits_acknowledge() {
                 self.handle_event(event, now);
             }
@@ -333,7 +344,7 @@ impl<A: Application> Node<A> {
             | BusEvent::NonePending
             | BusEvent::Overrun
             | BusEvent::BusOffRecovered => {}
-            _ => self.bit_rate.handle_bus(event, now),
+            _ => self.slave.handle_bus(event, now),
         }
     }
 
@@ -431,7 +442,7 @@ impl<A: Application> Node<A> {
             return None;
         }
         self.agenda.begin(now);
-        if !self.bit_rate.is_settled() {
+        if !self.slave.bit_rate().is_settled() {
             self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
         while let Some(task) = self.agenda.first() {
@@ -486,9 +497,7 @@ impl<A: Application> Node<A> {
         };
         match action {
             None => self.agenda.end(task),
-            Some(Action::Transmit(_)) if !self.bit_rate.is_settled() => {
-                self.bit_rate.note_sent(now)
-            }
+            Some(Action::Transmit(_)) => self.slave.note_sent(now),
             Some(_) => {}
         }
         action
@@ -496,14 +505,16 @@ impl<A: Application> Node<A> {
 
     #[inline(never)] // Inlined, it takes 24 to 584 bytes more.
     fn find_deadlines(&mut self, now: Instant) {
-        let may_report = !self.bit_rate.is_switching() && self.bit_rate.may_send();
-        let Self { agenda, bit_rate, nmt, emergency, sdo, product, periodic, .. } = self;
+        let may_send = self.slave.may_send();
+        let Self { slave, agenda, nmt, emergency, sdo, product, periodic, .. } = self;
         agenda.find_deadlines(|task| match task {
-            Task::BitRate => bit_rate.poll_at(),
-            Task::Producers => product.communication.late_at().filter(|_| !bit_rate.is_switching()),
-            _ if !may_report => None,
+            Task::BitRate => slave.poll_at(),
+            Task::Producers => {
+                product.communication.late_at().filter(|_| !slave.bit_rate().is_switching())
+            }
+            _ if !may_send => None,
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A>>(),
-            _ if bit_rate.is_guest() => None,
+            _ if slave.bit_rate().is_guest() => None,
             Task::Messages => {
                 let heartbeat = nmt.poll_at().and_then(|due| periodic.postpone(due, now));
                 Instant::earliest(heartbeat, emergency.inhibited_until())
@@ -511,31 +522,6 @@ impl<A: Application> Node<A> {
             Task::Pdos => product.communication.pdos.poll_at(|due| periodic.postpone(due, now)),
             Task::State | Task::Command | Task::Store => None,
         });
-    }
-
-    fn handle_lss(&mut self, data: &[u8; 8], now: Instant) -> Option<Action> {
-        match self.lss.handle(data)? {
-            Reaction::Answer(answer) => {
-                if !self.bit_rate.is_settled() {
-                    self.bit_rate.note_sent(now);
-                }
-                return Some(Action::Transmit(answer));
-            }
-            Reaction::ActivateBitTiming(delay_ms) => {
-                self.bit_rate.switch(delay_ms, now);
-                self.end_sdo();
-                self.agenda.add(Tasks::of(&[Task::BitRate]));
-            }
-            Reaction::StoreConfiguration => {
-                self.storing.lss_requests = self.storing.lss_requests.saturating_add(1);
-                self.agenda.add(Tasks::of(&[Task::Store]));
-            }
-            Reaction::ResetCommunication => {
-                self.nmt.handle(Command::ResetCommunication);
-                self.agenda.add(Tasks::of(&[Task::Command]));
-            }
-        }
-        None
     }
 
     /// Begins the store that LSS, or else an SDO client, has asked for, unless one is in progress.
@@ -546,7 +532,7 @@ impl<A: Application> Node<A> {
             return None;
         };
         let (settings, requester) = if lss_requests > 0 {
-            let (node_id, bit_rate) = (self.lss.pending_node_id(), self.lss.pending_bit_rate());
+            let Settings { node_id, bit_rate, .. } = self.slave.lss().pending();
             (persistent.with_node_id(node_id).with_bit_rate(bit_rate), Requester::Lss)
         } else {
             let SdoRequest { download, heartbeat_ms } = sdo_request?;
@@ -571,7 +557,7 @@ impl<A: Application> Node<A> {
             // Their object is in this area.
             let change = Area::Application.change(Some(download));
             if A::SETTINGS_BY_SDO && change == Change::Renew {
-                settings = self.storing.written.apply(settings, &self.lss);
+                settings = self.storing.written.apply(settings, self.slave.lss());
             }
             (settings, Requester::Sdo(download))
         };

@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use lss_master::{Assign, Bus, Configure, Error, Fastscan, Instant, Master, Timing, run};
 use lss_slave::{
     BitRate, BitRates, Frame, NodeId,
-    lss::{Address, Reaction, Response, Slave},
+    lss::{Address, Reaction, Response, StateMachine},
 };
 
 fn main() -> Result<(), Error> {
@@ -25,7 +25,7 @@ fn main() -> Result<(), Error> {
 
 /// The slaves on their bus, where a frame takes 1 ms.
 struct Network {
-    slaves: [Slave; 2],
+    slaves: [StateMachine; 2],
     answers: Vec<Frame>,
     now: Instant,
 }
@@ -63,13 +63,13 @@ impl Bus for Network {
 }
 
 /// A slave whose LSS address ends with this serial number.
-fn slave(serial_number: u32) -> Slave {
+fn slave(serial_number: u32) -> StateMachine {
     let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number };
-    Slave::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into())
+    StateMachine::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into())
 }
 
 /// What the slave sends after a request.
-fn receive(slave: &mut Slave, request: &Frame) -> Option<Frame> {
+fn receive(slave: &mut StateMachine, request: &Frame) -> Option<Frame> {
     match slave.handle(request.data().try_into().ok()?)? {
         Reaction::Answer(answer) => Some(answer),
         Reaction::StoreConfiguration => Some(Response::StoreConfiguration(Ok(())).to_frame()),

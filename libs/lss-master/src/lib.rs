@@ -6,10 +6,10 @@
 //!
 //! ```
 //! use lss_master::{Fastscan, Instant, Master, Output, Timing};
-//! use lss_slave::{BitRate, BitRates, lss::{Address, Reaction, Slave}};
+//! use lss_slave::{BitRate, BitRates, lss::{Address, Reaction, StateMachine}};
 //!
 //! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-//! let mut slave = Slave::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into());
+//! let mut slave = StateMachine::new(address, BitRates::possible(40_000_000), None, BitRate::Kbit125.into());
 //!
 //! let mut master = Master::new(Timing::default());
 //! let mut scan = master.start(Fastscan::new());

@@ -3,10 +3,8 @@
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use lss_slave::{
-    BitRate, BitRates, BusEvent, Frame, Instant, NodeId, Settings,
-    bit_rate::{self, Step},
-    cob_id,
-    lss::{self, Address, Reaction, Request, Response, Slave, StoreError},
+    Action, BitRate, BitRates, BusEvent, Frame, Instant, NodeId, Settings, Slave, cob_id,
+    lss::{Address, Request, StoreError},
     settings::Log,
 };
 
@@ -18,10 +16,9 @@ const HEARTBEAT_MICROS: u32 = 500_000;
 
 /// The node: LSS, bit rate and settings are the library's, the rest is its own.
 struct Node {
-    lss: Slave,
-    bit_rate: bit_rate::Control,
+    slave: Slave,
     log: Log<Flash>,
-    is_boot_up_due: bool,
+    boot_up: Option<Frame>,
     heartbeat_at: Instant,
 }
 
@@ -30,94 +27,67 @@ impl Node {
     fn new(flash: Flash) -> Self {
         let (log, _) = Log::open(flash);
         let settings = log.settings().unwrap_or(Settings::new(BitRate::Kbit125.into()));
-        let bit_rate = RATES.or_automatic(settings.bit_rate);
-        Self {
-            lss: Slave::new(ADDRESS, RATES, settings.node_id, bit_rate),
-            bit_rate: bit_rate::Control::new(bit_rate, RATES).with_rescue(ADDRESS.serial_number),
-            log,
-            is_boot_up_due: true,
-            heartbeat_at: Instant::from_micros(0),
-        }
+        let slave = Slave::new(ADDRESS, RATES, settings).with_rescue();
+        Self { boot_up: slave.boot_up(), slave, log, heartbeat_at: Instant::from_micros(0) }
     }
 
     fn handle_frame(&mut self, frame: &Frame, now: Instant) {
-        if !self.bit_rate.is_settled() && !self.bit_rate.handle_frame(frame, now) {
-            return;
+        let is_served = !self.slave.bit_rate().is_listening();
+        if let Some(action) = self.slave.handle_frame(frame, now) {
+            self.act(action, now);
         }
-        match (frame.cob_id(), frame.data()) {
-            (lss::REQUEST_COB_ID, data) if !self.bit_rate.is_switching() => {
-                if let Some(reaction) = data.try_into().ok().and_then(|data| self.lss.handle(data))
-                {
-                    self.react(reaction, now);
-                }
-            }
-            // The node's own NMT: here only reset communication of all nodes.
-            (cob_id::NMT_COMMAND, [0x82, 0]) => self.reset_communication(),
-            _ => {}
+        // The node's own NMT: here only reset communication of all nodes.
+        if is_served && frame.cob_id() == cob_id::NMT_COMMAND && frame.data() == [0x82, 0] {
+            self.reset_communication();
         }
-    }
-
-    fn react(&mut self, reaction: Reaction, now: Instant) {
-        match reaction {
-            Reaction::Answer(answer) => self.send(answer, now),
-            Reaction::ActivateBitTiming(delay_ms) => self.bit_rate.switch(delay_ms, now),
-            Reaction::StoreConfiguration => {
-                let settings = Settings::new(self.lss.pending_bit_rate())
-                    .with_node_id(self.lss.pending_node_id());
-                let outcome = self.log.store(settings).map_err(StoreError::from);
-                self.send(Response::StoreConfiguration(outcome).to_frame(), now);
-            }
-            Reaction::ResetCommunication => self.reset_communication(),
-        }
-    }
-
-    fn reset_communication(&mut self) {
-        self.lss.reset_communication();
-        self.is_boot_up_due = true;
+        self.poll(now);
     }
 
     /// Does what is due.
     fn poll(&mut self, now: Instant) {
-        while let Some(next) = self.bit_rate.poll(self.lss.state(), now) {
-            match next {
-                bit_rate::Next::StopTransmitting => println!("  stops sending"),
-                bit_rate::Next::Activate { silent_until } => {
-                    let setting = self.lss.activate_bit_rate(self.bit_rate.active());
-                    self.bit_rate.activate(setting, silent_until);
-                }
-                bit_rate::Next::EndSwitch => self.heartbeat_at = now,
-                bit_rate::Next::Step(Step::TakePart(rate)) => {
-                    println!("  takes part at {} kbit/s", rate.kbit_per_s());
-                }
-                bit_rate::Next::Step(Step::Listen(rate)) => {
-                    println!("  listens at {} kbit/s", rate.kbit_per_s());
-                    if !self.bit_rate.is_detecting() {
-                        self.lss.discard_session();
-                    }
-                }
-                bit_rate::Next::Step(Step::DropFrames) => println!("  drops its frames"),
-                bit_rate::Next::ResumeTransmitting => println!("  sends again"),
-                bit_rate::Next::KeepSilent => return,
-                bit_rate::Next::Settled => println!("  the bit rate is proven"),
-            }
+        while let Some(action) = self.slave.poll(now) {
+            self.act(action, now);
         }
-        let Some(node_id) = self.lss.active_node_id().filter(|_| self.bit_rate.may_send()) else {
+        let Some(node_id) = self.slave.lss().active_node_id().filter(|_| self.slave.may_send())
+        else {
             return;
         };
-        let is_boot_up = std::mem::take(&mut self.is_boot_up_due);
-        if is_boot_up || self.heartbeat_at.has_come(now) {
+        if let Some(boot_up) = self.boot_up.take() {
+            self.send(boot_up, now);
+        } else if self.heartbeat_at.has_come(now) && !self.slave.bit_rate().is_guest() {
             self.heartbeat_at = now.plus_micros(HEARTBEAT_MICROS);
-            let state = if is_boot_up { 0x00 } else { 0x7F };
             let cob_id = cob_id::ERROR_CONTROL + u16::from(node_id.get());
-            self.send(Frame::new(cob_id, &[state]).expect("one byte"), now);
+            self.send(Frame::new(cob_id, &[0x7F]).expect("one byte"), now);
         }
+    }
+
+    fn act(&mut self, action: Action, now: Instant) {
+        match action {
+            Action::Transmit(answer) => self.send(answer, now),
+            Action::Store => {
+                let outcome = self.log.store(self.slave.lss().pending());
+                let answer = self.slave.handle_stored(outcome.map_err(StoreError::from), now);
+                self.send(answer, now);
+            }
+            Action::ResetCommunication => self.reset_communication(),
+            Action::SetBitRate(rate) => println!("  takes part at {rate}"),
+            Action::Listen(rate) => println!("  listens at {rate}"),
+            Action::StopTransmitting => println!("  drops its frames"),
+            Action::ResumeTransmitting => println!("  sends again"),
+            Action::FilterFrames => println!("  the bit rate is proven"),
+        }
+    }
+
+    fn reset_communication(&mut self) {
+        self.slave.reset_communication();
+        self.boot_up = self.slave.boot_up();
     }
 
     /// Sends a frame, which another node acknowledges.
     fn send(&mut self, frame: Frame, now: Instant) {
         println!("  < {frame:?}");
-        self.bit_rate.note_sent(now);
-        self.bit_rate.handle_bus(BusEvent::Acknowledged, now);
+        self.slave.note_sent(now);
+        self.slave.handle_bus(BusEvent::Acknowledged, now);
     }
 }
 
@@ -143,8 +113,8 @@ fn main() {
     println!("A power cut");
     let mut node = Node::new(node.log.close());
     node.poll(now);
-    assert_eq!(node.lss.active_node_id(), NodeId::new(5));
-    assert_eq!(node.bit_rate.in_use(), BitRate::Kbit500);
+    assert_eq!(node.slave.lss().active_node_id(), NodeId::new(5));
+    assert_eq!(node.slave.bit_rate().in_use(), BitRate::Kbit500);
 }
 
 /// Flash in RAM, of two sectors.

@@ -8,9 +8,10 @@ mod timing;
 
 use core::fmt;
 
-pub use control::{Control, Next};
+pub use control::Control;
+pub(crate) use control::Next;
 pub use event::BusEvent;
-pub use supervision::Step;
+pub(crate) use supervision::Step;
 pub use timing::BitTiming;
 
 /// A bit rate of CiA 301; the value is its index in the table that configure bit timing selects with 0 (CiA 305).

@@ -1,10 +1,12 @@
 //! LSS, the layer setting services of CiA 305: address, messages and the slave's state machine.
 
 mod address;
-mod slave;
+mod message;
+mod state_machine;
 
 pub use address::{Address, AddressPart};
-pub use slave::{FastscanStep, IdentifyKey, Reaction, Request, Response, Slave, State, StoreError};
+pub use message::{FastscanStep, IdentifyKey, Request, Response, StoreError};
+pub use state_machine::{Reaction, State, StateMachine};
 
 /// The COB-ID of requests from the LSS master to the slaves.
 pub const REQUEST_COB_ID: u16 = 0x7E5;

@@ -23,7 +23,7 @@ impl<A: Application> Node<A> {
     }
 
     fn reset_communication(&mut self) -> Action {
-        self.lss.reset_communication();
+        self.slave.reset_communication();
         let communication = &mut self.product.communication;
         let heartbeat_ms = self.storing.persistent.heartbeat_ms;
         self.nmt.reset_communication(heartbeat_ms, communication.error_behaviour());
@@ -32,7 +32,6 @@ impl<A: Application> Node<A> {
         self.storing.verification.reset();
         self.note_dropped();
         self.end_sdo();
-        self.bit_rate.note_asked();
         self.agenda.add(Tasks::ALL);
         Action::SetNodeId(self.node_id())
     }
@@ -48,7 +47,7 @@ impl<A: Application> Node<A> {
     #[inline(never)] // Inlined, it takes 40 to 84 bytes more.
     pub(super) fn lock_lss(&mut self) {
         let is_operational = self.nmt_state() == nmt::State::Operational;
-        self.lss.set_locked(self.product.device.lss_lock && is_operational);
+        self.slave.lss_mut().set_locked(self.product.device.lss_lock && is_operational);
     }
 
     pub(super) fn awaits_acknowledge(&self) -> bool {
@@ -60,7 +59,8 @@ impl<A: Application> Node<A> {
         let tasks: &[Task] = match event {
             BusEvent::ErrorCounters { transmit, receive } => {
                 let counters = ErrorCounters { transmit, receive };
-                self.emergency.handle_error_counters(counters, self.bit_rate.is_listening());
+                self.emergency
+                    .handle_error_counters(counters, self.slave.bit_rate().is_listening());
                 &[Task::Messages]
             }
             BusEvent::NonePending => {
@@ -97,12 +97,12 @@ impl<A: Application> Node<A> {
     /// Returns the next boot-up, emergency message or heartbeat.
     pub(super) fn next_message(&mut self, now: Instant) -> Option<Action> {
         self.emergency.end_inhibit_time(now);
-        let node = self.node_id().filter(|_| self.bit_rate.may_report())?;
+        let node = self.node_id().filter(|_| self.slave.bit_rate().may_report())?;
         if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
             self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
             return Some(Action::Transmit(boot_up));
         }
-        let is_guest = self.bit_rate.is_guest();
+        let is_guest = self.slave.bit_rate().is_guest();
         if self.nmt.allows_emergencies()
             && let Some(emergency) = self.emergency.next(node, is_guest, now)
         {

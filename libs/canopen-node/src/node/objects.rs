@@ -3,7 +3,7 @@
 
 use core::cmp::Ordering;
 
-use lss_slave::bytes::copy;
+use lss_slave::{Slave, bytes::copy};
 
 use super::{
     Action, Node, SdoRequest, Storing, Task, Tasks, areas::Download, communication::Communication,
@@ -12,9 +12,8 @@ use super::{
 use crate::{
     Device, Frame, Instant,
     application::Application,
-    bit_rate,
     emergency::Emergency,
-    lss::{self, AddressPart},
+    lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, DataType, Entry, Object, TABLE},
     sdo::{self, Abort, Content, Message, Objects},
@@ -27,7 +26,7 @@ const ON_COMMAND: u32 = 1;
 
 impl<A: Application> Node<A> {
     pub(super) const fn serves_sdo(&self) -> bool {
-        !self.bit_rate.is_switching() && self.nmt.serves_sdo()
+        !self.slave.bit_rate().is_switching() && self.nmt.serves_sdo()
     }
 
     pub(super) fn sdo_request_cob_id(&self) -> Option<u16> {
@@ -44,8 +43,7 @@ impl<A: Application> Node<A> {
         }
         let mut objects = NodeObjects {
             device: &self.product.device,
-            lss: &mut self.lss,
-            bit_rate: &self.bit_rate,
+            slave: &mut self.slave,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
             storing: &mut self.storing,
@@ -84,8 +82,7 @@ impl<A: Application> Node<A> {
 /// The parts of the node that objects read and write, at one time.
 pub(super) struct NodeObjects<'a, A: Application> {
     pub device: &'a Device,
-    pub lss: &'a mut lss::Slave,
-    pub bit_rate: &'a bit_rate::Control,
+    pub slave: &'a mut Slave,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
     pub storing: &'a mut Storing,
@@ -108,7 +105,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn read(&mut self, entry: &Entry) -> Result<Content, Abort> {
-        let node_id = self.lss.active_node_id().map_or(0, |id| u32::from(id.get()));
+        let node_id = self.slave.lss().active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
                 if entry.data_type != DataType::Domain {
@@ -128,34 +125,36 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             }
             Object::StoreParameters | Object::RestoreDefaultParameters => ON_COMMAND,
             Object::CobIdEmergency => {
-                self.emergency.configuration.cob_id_value(self.lss.active_node_id())
+                self.emergency.configuration.cob_id_value(self.slave.lss().active_node_id())
             }
             Object::InhibitTimeEmergency => self.emergency.configuration.inhibit_time.into(),
             Object::ProducerHeartbeatTime => self.nmt.heartbeat_ms().into(),
             Object::CommunicationErrorBehaviour => self.nmt.error_behaviour() as u32,
             Object::VerifyConfiguration(sub_index) => self.storing.verification.read(sub_index),
-            Object::VendorId => self.lss.address_part(AddressPart::VendorId),
-            Object::ProductCode => self.lss.address_part(AddressPart::ProductCode),
-            Object::RevisionNumber => self.lss.address_part(AddressPart::RevisionNumber),
-            Object::SerialNumber => self.lss.address_part(AddressPart::SerialNumber),
+            Object::VendorId => self.slave.lss().address_part(AddressPart::VendorId),
+            Object::ProductCode => self.slave.lss().address_part(AddressPart::ProductCode),
+            Object::RevisionNumber => self.slave.lss().address_part(AddressPart::RevisionNumber),
+            Object::SerialNumber => self.slave.lss().address_part(AddressPart::SerialNumber),
             Object::BusOffs => self.emergency.bus_offs().into(),
             Object::Overruns => self.emergency.overruns().into(),
             Object::TransmitErrorCounter => self.emergency.error_counters().transmit.into(),
             Object::ReceiveErrorCounter => self.emergency.error_counters().receive.into(),
-            Object::HomeBitRate => self.bit_rate.home().map_or(0, |rate| rate.kbit_per_s().into()),
-            Object::BitRateInUse => self.bit_rate.in_use().kbit_per_s().into(),
-            Object::Rescues => self.bit_rate.rescues().into(),
+            Object::HomeBitRate => {
+                self.slave.bit_rate().home().map_or(0, |rate| rate.kbit_per_s().into())
+            }
+            Object::BitRateInUse => self.slave.bit_rate().in_use().kbit_per_s().into(),
+            Object::Rescues => self.slave.bit_rate().rescues().into(),
             Object::HighestSubIndex(highest) => highest.into(),
             Object::CobIdSdoRequest => u32::from(sdo::REQUEST_COB_ID) + node_id,
             Object::CobIdSdoResponse => u32::from(sdo::RESPONSE_COB_ID) + node_id,
             Object::PendingNodeId if A::SETTINGS_BY_SDO => {
-                settings_object::node_id(self.lss).into()
+                settings_object::node_id(self.slave.lss()).into()
             }
             Object::PendingBitRate if A::SETTINGS_BY_SDO => {
-                settings_object::bit_rate(self.lss).into()
+                settings_object::bit_rate(self.slave.lss()).into()
             }
             object if Communication::<A::Numbers>::IS_USED => {
-                self.communication.read(object, self.lss.active_node_id())?
+                self.communication.read(object, self.slave.lss().active_node_id())?
             }
             _ => 0,
         }))
@@ -206,8 +205,10 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 }
                 let written = &mut self.storing.written;
                 match object {
-                    Object::PendingNodeId => written.set_node_id(self.lss, value as u8)?,
-                    _ => written.set_bit_rate(self.lss, value as u16)?,
+                    Object::PendingNodeId => {
+                        written.set_node_id(self.slave.lss_mut(), value as u8)?
+                    }
+                    _ => written.set_bit_rate(self.slave.lss_mut(), value as u16)?,
                 }
                 Ok(Some(confirmation))
             }
@@ -270,7 +271,7 @@ impl<A: Application> NodeObjects<'_, A> {
             Object::NumberOfErrors if number == 0 => self.emergency.clear_history(),
             Object::NumberOfErrors => return Err(Abort::InvalidValue),
             Object::CobIdEmergency => {
-                let node = self.lss.active_node_id();
+                let node = self.slave.lss().active_node_id();
                 self.emergency.configuration.set_cob_id(number, node)?;
             }
             Object::InhibitTimeEmergency => {
@@ -282,7 +283,7 @@ impl<A: Application> NodeObjects<'_, A> {
                 self.nmt.set_error_behaviour(behaviour);
             }
             object if Communication::<A::Numbers>::IS_USED => {
-                let node = self.lss.active_node_id();
+                let node = self.slave.lss().active_node_id();
                 self.communication.write(object, number, node, A::OBJECTS)?;
             }
             _ => return Err(Abort::ReadOnly),

@@ -10,7 +10,7 @@ impl<A: Application> Node<A> {
     pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
-        let is_served = self.node_id().is_some() && !self.bit_rate.is_switching();
+        let is_served = self.node_id().is_some() && !self.slave.bit_rate().is_switching();
         if !Self::HAS_PROCESS_DATA || !is_served {
             return;
         }

@@ -2,7 +2,7 @@
 
 use crate::{
     BitRate, BitRateSetting, NodeId, Settings,
-    lss::Slave,
+    lss::StateMachine,
     object_dictionary::{
         Access::{Const, ReadWrite},
         DataType::{Unsigned8, Unsigned16},
@@ -35,12 +35,12 @@ pub(super) fn entries() -> impl Iterator<Item = (Entry, Description)> {
 }
 
 /// The pending node-ID as LSS encodes it: FFh for none.
-pub(super) const fn node_id(lss: &Slave) -> u8 {
+pub(super) const fn node_id(lss: &StateMachine) -> u8 {
     NodeId::to_lss(lss.pending_node_id())
 }
 
 /// The pending bit rate in kbit/s; 0 is automatic detection.
-pub(super) const fn bit_rate(lss: &Slave) -> u16 {
+pub(super) const fn bit_rate(lss: &StateMachine) -> u16 {
     match lss.pending_bit_rate() {
         BitRateSetting::Fixed(rate) => rate.kbit_per_s(),
         BitRateSetting::Automatic => AUTOMATIC,
@@ -61,7 +61,7 @@ impl Written {
     ///
     /// # Errors
     /// [`Abort::InvalidValue`] where LSS refuses it.
-    pub fn set_node_id(&mut self, lss: &mut Slave, value: u8) -> Result<(), Abort> {
+    pub fn set_node_id(&mut self, lss: &mut StateMachine, value: u8) -> Result<(), Abort> {
         let node_id = NodeId::from_lss(value).map_err(|_| Abort::InvalidValue)?;
         lss.configure_node_id(node_id);
         self.node_id = Some(node_id);
@@ -72,7 +72,7 @@ impl Written {
     ///
     /// # Errors
     /// [`Abort::InvalidValue`] where LSS refuses it.
-    pub fn set_bit_rate(&mut self, lss: &mut Slave, kbit_per_s: u16) -> Result<(), Abort> {
+    pub fn set_bit_rate(&mut self, lss: &mut StateMachine, kbit_per_s: u16) -> Result<(), Abort> {
         let fixed = || BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit_per_s);
         let rate = match kbit_per_s {
             AUTOMATIC => Some(BitRateSetting::Automatic),
@@ -84,7 +84,7 @@ impl Written {
     }
 
     /// The settings to store.
-    pub fn apply(&self, settings: Settings, lss: &Slave) -> Settings {
+    pub fn apply(&self, settings: Settings, lss: &StateMachine) -> Settings {
         let mut settings = settings;
         if self.node_id == Some(lss.pending_node_id()) {
             settings = settings.with_node_id(lss.pending_node_id());

@@ -40,10 +40,10 @@ enum Phase {
     NewRate,
 }
 
-/// The node's next step.
+/// The slave's next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
-pub enum Next {
+pub(crate) enum Next {
     /// A switch begins: no more frames are sent.
     StopTransmitting,
     /// The pending bit rate must be activated, see [`Control::activate`].
@@ -51,21 +51,17 @@ pub enum Next {
         /// The end of the switch.
         silent_until: Instant,
     },
-    /// A switch has ended.
-    EndSwitch,
     /// A step of the supervision, which drops the pending frames.
     Step(Step),
     /// Frames may be sent again.
     ResumeTransmitting,
-    /// Nothing happens, in the silence of a switch.
-    KeepSilent,
     /// The home rate is proven: only the frames for the node matter from now on.
     Settled,
 }
 
 impl Control {
     /// The control of a node that offers these rates and was powered on with this setting.
-    pub const fn new(setting: BitRateSetting, rates: BitRates) -> Self {
+    pub(crate) const fn new(setting: BitRateSetting, rates: BitRates) -> Self {
         Self {
             supervision: Supervision::new(setting, rates),
             is_automatic: matches!(setting, BitRateSetting::Automatic),
@@ -78,7 +74,7 @@ impl Control {
 
     /// Adds the search from an unproven home rate. The serial number keeps several nodes from acting at the same time.
     #[must_use]
-    pub const fn with_rescue(self, serial_number: u32) -> Self {
+    pub(crate) const fn with_rescue(self, serial_number: u32) -> Self {
         let supervision = self.supervision.with_rescue(serial_number);
         Self { supervision, needs_all_frames: true, ..self }
     }
@@ -137,7 +133,7 @@ impl Control {
         self.supervision.is_guest()
     }
 
-    /// Whether the home rate is proven and no switch runs. Until the next [`switch`](Self::switch) no frame, event or
+    /// Whether the home rate is proven and no switch runs. Until the next switch no frame, event or
     /// time makes a difference.
     pub const fn is_settled(&self) -> bool {
         self.is_settled
@@ -149,7 +145,7 @@ impl Control {
     }
 
     /// Handles a received frame and returns whether it may be served.
-    pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> bool {
+    pub(crate) fn handle_frame(&mut self, frame: &Frame, now: Instant) -> bool {
         // The sender may be lost like this node and repeat its boot-up until someone acknowledges it.
         if self.supervision.is_elsewhere() && is_boot_up(frame) {
             return false;
@@ -161,7 +157,7 @@ impl Control {
     }
 
     /// Handles an event of the controller.
-    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+    pub(crate) fn handle_bus(&mut self, event: BusEvent, now: Instant) {
         let is_proof = matches!(event, BusEvent::Received | BusEvent::Acknowledged);
         // Errors are expected in the silent periods of a switch.
         if is_proof || self.is_supervised() {
@@ -170,24 +166,24 @@ impl Control {
     }
 
     /// Records that the node has sent a frame.
-    pub fn note_sent(&mut self, now: Instant) {
+    pub(crate) fn note_sent(&mut self, now: Instant) {
         self.supervision.note_sent(now);
     }
 
     /// Records a request that the node will answer: as a guest it may report itself before.
-    pub const fn note_asked(&mut self) {
+    pub(crate) const fn note_asked(&mut self) {
         self.supervision.note_asked();
     }
 
     /// Begins the switch to the pending bit rate, with two delays of `delay_ms` milliseconds.
-    pub fn switch(&mut self, delay_ms: u16, now: Instant) {
+    pub(crate) fn switch(&mut self, delay_ms: u16, now: Instant) {
         let delay_micros = u32::from(delay_ms) * 1000;
         self.is_settled = false;
         self.switch = Some(Switch { phase: Phase::Requested, until: now, delay_micros });
     }
 
     /// Activates `setting`, in the switch that ends at `silent_until`. A detection that continues keeps its result.
-    pub fn activate(&mut self, setting: BitRateSetting, silent_until: Instant) {
+    pub(crate) fn activate(&mut self, setting: BitRateSetting, silent_until: Instant) {
         match setting {
             BitRateSetting::Fixed(rate) => self.supervision.command(rate, silent_until),
             BitRateSetting::Automatic if self.is_automatic => {}
@@ -197,13 +193,18 @@ impl Control {
     }
 
     /// The new bit rate in use, once after a change: the node has become a guest or has returned home.
-    pub fn take_change(&mut self) -> Option<BitRate> {
+    pub(crate) fn take_change(&mut self) -> Option<BitRate> {
         self.supervision.take_change()
     }
 
-    /// The next step at `now` in this LSS state; `None` if the bit rate requires none and the node may do other work.
-    pub fn poll(&mut self, state: lss::State, now: Instant) -> Option<Next> {
+    /// The next step at `now` in this LSS state; `None` if there is none, as in the silence of a switch.
+    pub(crate) fn poll(&mut self, state: lss::State, now: Instant) -> Option<Next> {
         self.supervision.note_session(state == lss::State::Configuration);
+        let expired = self.switch.filter(|switch| switch.until.has_come(now));
+        if expired.is_some_and(|switch| matches!(switch.phase, Phase::NewRate)) {
+            self.switch = None;
+            self.is_resume_due = true;
+        }
         // A detection that the switch has begun may complete within it.
         if (self.is_supervised() || self.supervision.has_step())
             && let Some(step) = self.supervision.poll(now)
@@ -212,44 +213,33 @@ impl Control {
             self.needs_all_frames = !self.supervision.is_settled();
             return Some(Next::Step(step));
         }
-        match self.switch {
-            Some(switch) if switch.until.has_come(now) => Some(self.advance(switch)),
-            Some(_) => Some(Next::KeepSilent),
-            None if !self.is_listening() && mem::take(&mut self.is_resume_due) => {
-                Some(Next::ResumeTransmitting)
-            }
-            None => {
-                self.is_settled = self.supervision.is_settled();
-                let has_settled = self.is_settled && mem::take(&mut self.needs_all_frames);
-                has_settled.then_some(Next::Settled)
-            }
+        if self.switch.is_some() {
+            return self.advance(expired?);
         }
+        if !self.is_listening() && mem::take(&mut self.is_resume_due) {
+            return Some(Next::ResumeTransmitting);
+        }
+        self.is_settled = self.supervision.is_settled();
+        let has_settled = self.is_settled && mem::take(&mut self.needs_all_frames);
+        has_settled.then_some(Next::Settled)
     }
 
     /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
-    pub fn poll_at(&self) -> Option<Instant> {
+    pub(crate) fn poll_at(&self) -> Option<Instant> {
         let supervision = self.supervision.poll_at().filter(|_| self.is_supervised());
         Instant::earliest(supervision, self.switch.map(|switch| switch.until))
     }
 
-    /// Ends the phase of the switch that has expired.
-    fn advance(&mut self, switch: Switch) -> Next {
+    /// Begins the next phase of a switch.
+    fn advance(&mut self, switch: Switch) -> Option<Next> {
         let until = switch.until.plus_micros(switch.delay_micros);
-        match switch.phase {
-            Phase::Requested => {
-                self.switch = Some(Switch { phase: Phase::OldRate, until, ..switch });
-                Next::StopTransmitting
-            }
-            Phase::OldRate => {
-                self.switch = Some(Switch { phase: Phase::NewRate, until, ..switch });
-                Next::Activate { silent_until: until }
-            }
-            Phase::NewRate => {
-                self.switch = None;
-                self.is_resume_due = true;
-                Next::EndSwitch
-            }
-        }
+        let (phase, next) = match switch.phase {
+            Phase::Requested => (Phase::OldRate, Next::StopTransmitting),
+            Phase::OldRate => (Phase::NewRate, Next::Activate { silent_until: until }),
+            Phase::NewRate => return None,
+        };
+        self.switch = Some(Switch { phase, until, ..switch });
+        Some(next)
     }
 
     /// Whether the supervision may act: not during a switch, unless the switch has begun a detection.

@@ -10,7 +10,7 @@ use crate::Instant;
 
 /// The node's next step for its bit rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub(crate) enum Step {
     /// Take part in the bus at this rate.
     TakePart(BitRate),
     /// Receive silently at this rate.

@@ -6,7 +6,7 @@
 use bench::{IDENTITY, Place, received_data, received_identifier, transmit};
 use lss_slave::{
     BitRate, BitRates,
-    lss::{Address, REQUEST_COB_ID, Reaction, Response, Slave},
+    lss::{Address, REQUEST_COB_ID, Reaction, Response, StateMachine},
 };
 
 const BIT_RATES: BitRates = BitRates::possible(40_000_000);
@@ -14,14 +14,14 @@ const BIT_RATES: BitRates = BitRates::possible(40_000_000);
 /// The LSS state, whose size is measured.
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
-static LSS_STATE: Place<Slave> = Place::empty();
+static LSS_STATE: Place<StateMachine> = Place::empty();
 
 // SAFETY: no other symbol has this name.
 #[unsafe(no_mangle)]
 extern "C" fn prepare() {
     let [vendor_id, product_code, revision_number, serial_number] = IDENTITY;
     let address = Address { vendor_id, product_code, revision_number, serial_number };
-    LSS_STATE.fill(Slave::new(address, BIT_RATES, None, BitRate::Kbit125.into()));
+    LSS_STATE.fill(StateMachine::new(address, BIT_RATES, None, BitRate::Kbit125.into()));
 }
 
 // SAFETY: no other symbol has this name.
