@@ -1,9 +1,9 @@
 //! A timing diagram of a bit-rate switch, drawn from the record of a run: senders, times and rates.
 
-use std::{fmt::Write, time::Duration};
+use std::time::Duration;
 
 use anyhow::Context;
-use can_bus::svg::Scale;
+use can_bus::svg::{Plot, Scale, Step, Timeline, colored_label, label};
 use emulator::{
     Time,
     can::{Frame, Id},
@@ -24,6 +24,8 @@ const TOP: f64 = 66.0;
 const MASTER: f64 = 100.0;
 const LANE: f64 = 65.0;
 const BOX_HEIGHT: f64 = 26.0;
+const GRAY: &str = "#666";
+const RED: &str = "#c03028";
 
 /// The diagram of the last activation of bit timing among `events`, as SVG.
 ///
@@ -37,72 +39,51 @@ pub fn draw(events: &[Event]) -> anyhow::Result<String> {
         |event: &&Event| t0.saturating_sub(MARGIN) <= event.time && event.time <= t2 + MARGIN;
     let shown: Vec<&Event> = events.iter().filter(is_shown).collect();
     let scale = scale(&shown, [t0, t1, t2]);
-    let [x0, x1, x2] = [t0, t1, t2].map(|time| scale.x(span(time)));
-    let width = scale.x(Duration::MAX) + RIGHT;
+    let right = scale.x(Duration::MAX) + RIGHT;
     let boards = events.iter().filter_map(|event| match event.source {
         Source::Board(number) => Some(number + 1),
         Source::Adapter(_) => None,
     });
     let boards = boards.max().unwrap_or(0);
     let bottom = lane(Source::Board(boards)) + 6.0;
-    let last = bottom + 64.0;
-
-    let mut svg = String::new();
-    writeln!(
-        svg,
-        r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} {last}" font-family="sans-serif" font-size="12">
-<rect width="100%" height="100%" fill="white"/>
-<text x="10" y="24" font-size="16">Activate bit timing, switch delay {} ms</text>"#,
-        delay.as_ms()
-    )?;
-    for (from, to, fill, name, rule) in
-        [(x0, x1, "#e8eef7", "d1", "old bit rate"), (x1, x2, "#fdf0df", "d2", "new bit rate")]
+    let title = format!("Activate bit timing, switch delay {} ms", delay.as_ms());
+    let plot = Plot { left: LEFT, right: right - RIGHT / 2.0, top: TOP, bottom };
+    let mut diagram = Timeline::new([right, bottom + 64.0], &title, plot, scale);
+    for (from, to, color, name, rule) in
+        [(t0, t1, "#e8eef7", "d1", "old bit rate"), (t1, t2, "#fdf0df", "d2", "new bit rate")]
     {
-        let (middle, span) = ((from + to) / 2.0, to - from);
-        let (height, above, below) = (bottom - TOP, bottom - 20.0, bottom - 6.0);
-        writeln!(
-            svg,
-            r#"<rect x="{from:.1}" y="{TOP}" width="{span:.1}" height="{height}" fill="{fill}"/>
-<text x="{middle:.1}" y="56" text-anchor="middle">{name} = {} ms</text>
-<text x="{middle:.1}" y="{above}" text-anchor="middle">{rule}:</text>
-<text x="{middle:.1}" y="{below}" text-anchor="middle">no frame is started</text>"#,
-            delay.as_ms()
-        )?;
+        let name = format!("{name} = {} ms", delay.as_ms());
+        let [from, to] = diagram.shade([from, to].map(span), TOP, color, &name);
+        for (y, text) in [
+            (TOP - 10.0, &*name),
+            (bottom - 20.0, &format!("{rule}:")),
+            (bottom - 6.0, "no frame is started"),
+        ] {
+            diagram.svg += &label((from + to) / 2.0, y, "middle", text);
+        }
     }
     let names = (0..boards).map(|number| (lane(Source::Board(number)), format!("board {number}")));
     for (y, name) in [(MASTER, "LSS master".to_owned())].into_iter().chain(names) {
-        let (text, to) = (y + 4.0, width - RIGHT / 2.0);
-        writeln!(
-            svg,
-            r##"<text x="10" y="{text}">{name}</text>
-<line x1="{LEFT}" y1="{y}" x2="{to:.1}" y2="{y}" stroke="#888"/>"##
-        )?;
+        diagram.svg += &label(16.0, y + 4.0, "start", &name);
+        diagram.lane(y);
     }
-    for (time, x, name) in [(t0, x0, "t0"), (t1, x1, "t0 + d1"), (t2, x2, "t0 + d1 + d2")] {
-        let (above, below) = (bottom + 16.0, bottom + 32.0);
-        writeln!(
-            svg,
-            r##"<line x1="{x:.1}" y1="{TOP}" x2="{x:.1}" y2="{bottom}" stroke="#444" stroke-dasharray="4 3"/>
-<text x="{x:.1}" y="{above}" text-anchor="middle">{name}</text>
-<text x="{x:.1}" y="{below}" text-anchor="middle" fill="#666">{:.3} ms</text>"##,
-            time.as_us() as f64 / 1000.0
-        )?;
+    for (time, name) in [(t0, "t0"), (t1, "t0 + d1"), (t2, "t0 + d1 + d2")] {
+        let x = diagram.line(span(time), "stroke=\"#444\" stroke-dasharray=\"4 3\"");
+        let ms = format!("{:.3} ms", time.as_us() as f64 / 1000.0);
+        diagram.svg += &label(x, bottom + 16.0, "middle", name);
+        diagram.svg += &colored_label(x, bottom + 32.0, "middle", GRAY, &ms);
     }
     for event in shown {
-        draw_event(&mut svg, event, event.source, &scale)?;
+        draw_event(&mut diagram, event, event.source);
         if let What::Frame { also, .. } = &event.what {
-            for source in also {
-                draw_event(&mut svg, event, *source, &scale)?;
-            }
+            also.iter().for_each(|source| draw_event(&mut diagram, event, *source));
         }
     }
-    writeln!(
-        svg,
-        r##"<text x="10" y="{}" fill="#666">Frames to scale, one millisecond is {PER_MS} pixels; long silences are shortened.</text>
-</svg>"##,
-        bottom + 54.0
-    )?;
-    Ok(svg)
+    let words = format!(
+        "Frames to scale, one millisecond is {PER_MS} pixels; long silences are shortened."
+    );
+    diagram.svg += &colored_label(16.0, bottom + 54.0, "start", GRAY, &words);
+    Ok(diagram.finish())
 }
 
 /// The height of a station's line.
@@ -114,38 +95,31 @@ fn lane(source: Source) -> f64 {
 }
 
 /// Draws an event on the line of `source`, its sender or a participant.
-fn draw_event(
-    svg: &mut String,
-    event: &Event,
-    source: Source,
-    scale: &Scale,
-) -> anyhow::Result<()> {
-    let y = lane(source);
-    let end = scale.x(span(event.time));
+fn draw_event(diagram: &mut Timeline, event: &Event, source: Source) {
+    let (y, to) = (lane(source), span(event.time));
     match &event.what {
         What::Frame { frame, start, bit_rate, .. } => {
-            let (x, rate) = (scale.x(span(*start)), bit_rate / 1000);
-            let (width, middle) = (end - x, (x + end) / 2.0);
-            let (corner, above, below) = (y - BOX_HEIGHT / 2.0, y - 18.0, y + 26.0);
-            writeln!(
-                svg,
-                r##"<rect x="{x:.1}" y="{corner}" width="{width:.1}" height="{BOX_HEIGHT}" fill="#4a7ab5"/>
-<text x="{middle:.1}" y="{above}" text-anchor="middle" font-size="9">{}</text>
-<text x="{middle:.1}" y="{below}" text-anchor="middle" font-size="9" fill="#666">{rate} kbit/s</text>"##,
-                short(frame)
-            )?;
+            let from = span(*start);
+            let (title, rate) = (short(frame), format!("{} kbit/s", bit_rate / 1000));
+            let step = Step { from, to, is_moment: false, color: "#4a7ab5", title: title.clone() };
+            for x in diagram.steps(y - BOX_HEIGHT / 2.0, BOX_HEIGHT, &[step]) {
+                diagram.svg += &small(&label(x, y - 18.0, "middle", &title));
+                diagram.svg += &small(&colored_label(x, y + 26.0, "middle", GRAY, &rate));
+            }
         }
-        What::BitTiming { bit_rate, .. } => writeln!(
-            svg,
-            r##"<path d="M {end:.1} {y} l -6 -12 h 12 z" fill="#c03028"/>
-<text x="{:.1}" y="{}" font-size="11" fill="#c03028">goes to {} kbit/s</text>"##,
-            end + 9.0,
-            y - 6.0,
-            bit_rate / 1000
-        )?,
+        What::BitTiming { bit_rate, .. } => {
+            let words = format!("goes to {} kbit/s", bit_rate / 1000);
+            let x = diagram.scale.x(to);
+            diagram.svg += &format!("<path d=\"M {x:.1} {y} l -6 -12 h 12 z\" fill=\"{RED}\"/>\n");
+            diagram.svg += &colored_label(x + 9.0, y - 6.0, "start", RED, &words);
+        }
         _ => {}
     }
-    Ok(())
+}
+
+/// A text in a size that fits a frame.
+fn small(text: &str) -> String {
+    format!("<g font-size=\"9\">{text}</g>\n")
 }
 
 /// The end of the request and the switch delay, if this is one to activate a bit rate.

@@ -2,9 +2,9 @@
 
 mod history;
 
-use std::{fmt::Write, time::Duration};
+use std::time::Duration;
 
-use can_bus::svg::{Scale, bar, colored_label, escape, label};
+use can_bus::svg::{Plot, Scale, Step, Timeline, bar, colored_label, escape, label, moment};
 
 use crate::recorder::Entry;
 use history::{Board, History, Kind, Lane};
@@ -20,21 +20,15 @@ const BADGE: f64 = 44.0;
 const LEFT: f64 = 402.0;
 const PLOT: f64 = 514.0;
 const RIGHT: f64 = LEFT + PLOT;
-/// The words on what a board has got.
-const WORDS: f64 = RIGHT + 24.0;
+/// The words on what a board has got, and how many characters have room there.
+const WORDS: f64 = RIGHT + 10.0;
+const LONGEST: usize = 42;
 /// The rows: where the first one begins, and how high each is.
 const TOP: f64 = 124.0;
 const ROW: f64 = 46.0;
 const BOX_HEIGHT: f64 = 38.0;
-/// The least width of a step, and of a boot-up.
-const LEAST: f64 = 4.0;
-const BOOT: f64 = 8.0;
-/// Between two of them.
-const GAP: f64 = 0.5;
 /// A silence is drawn as if it was this long at most.
 const SILENCE: Duration = Duration::from_secs(1);
-/// The least distance of two marks on the time axis.
-const MARKS: f64 = 54.0;
 /// The characters of a line below the rows.
 const LINE: usize = 165;
 
@@ -56,34 +50,26 @@ pub fn draw(entries: &[Entry], caption: &Caption) -> String {
     let bottom = TOP + ROW * (history.boards.len() + 1) as f64;
     let failure = caption.failure.as_deref().map(wrap).unwrap_or_default();
     let height = bottom + 34.0 + 18.0 * failure.len() as f64;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" \
-         font-size=\"12\">\n<rect x=\"0.5\" y=\"0.5\" width=\"{}\" height=\"{}\" rx=\"6\" fill=\"white\" \
-         stroke=\"#ccc\"/>\n",
-        WIDTH - 1.0,
-        height - 1.0
-    );
-    let title = format!(
-        "<text x=\"{MARGIN}\" y=\"30\" font-size=\"18\">{}</text>\n",
-        escape(&caption.title)
-    );
-    svg += &title;
-    svg += &gray(MARGIN, 50.0, "start", &caption.line);
-    svg += &legend();
-    svg += &axis(&history, &scale, bottom);
-    svg += &network(&history, bottom);
-    svg += &lane(&history.master, &scale, center(0));
+    let plot = Plot { left: LEFT, right: RIGHT, top: TOP, bottom };
+    let mut picture = Timeline::new([WIDTH, height], &caption.title, plot, scale);
+    picture.svg += &gray(MARGIN, 50.0, "start", &caption.line);
+    picture.svg += &legend();
+    rates(&mut picture, &history);
+    picture.marks(history.end);
+    picture.svg += &network(&history, bottom);
+    lane(&mut picture, &history.master, center(0));
     for (row, board) in history.boards.iter().enumerate() {
-        svg += &lane(&board.lane, &scale, center(row + 1));
         let (y, [first, second]) = (center(row + 1), outcome(board, &history));
+        lane(&mut picture, &board.lane, y);
+        let [first, second] = [first, second].map(|words| beginning(&words));
         let color = if board.problem.is_some() { "#c92a2a" } else { "#222" };
-        svg += &colored_label(WORDS, y - 3.0, "start", color, &first);
-        svg += &gray(WORDS, y + 13.0, "start", &second);
+        picture.svg += &colored_label(WORDS, y - 3.0, "start", color, &first);
+        picture.svg += &gray(WORDS, y + 13.0, "start", &second);
     }
     for (line, y) in failure.iter().zip((0..).map(|line| bottom + 42.0 + 18.0 * f64::from(line))) {
-        svg += &colored_label(MARGIN, y, "start", "#c92a2a", line);
+        picture.svg += &colored_label(MARGIN, y, "start", "#c92a2a", line);
     }
-    svg + "</svg>\n"
+    picture.finish()
 }
 
 /// The middle of a row; the first one is the master's.
@@ -95,54 +81,29 @@ fn gray(x: f64, y: f64, anchor: &str, text: &str) -> String {
     colored_label(x, y, anchor, "#666", text)
 }
 
-/// The color of a step, and its name in the legend.
-fn look(kind: Kind) -> (&'static str, &'static str) {
-    match kind {
-        Kind::Search => ("#a9c1dd", "Fastscan"),
-        Kind::Check => ("#8d7bb8", "asked"),
-        Kind::Configure => ("#1b4f9c", "configured"),
-        Kind::Store => ("#e8860c", "stored"),
-        Kind::Reset => ("#868e96", "reset or switch"),
-        Kind::BootUp => ("#2b8a3e", "boot-up"),
-        Kind::Problem => ("#e03131", "no answer, or refused"),
-    }
-}
+/// The color of each [`Kind`] of steps, and its name in the legend.
+const LOOKS: [(&str, &str); 7] = [
+    ("#a9c1dd", "Fastscan"),
+    ("#8d7bb8", "asked"),
+    ("#1b4f9c", "configured"),
+    ("#e8860c", "stored"),
+    ("#868e96", "reset or switch"),
+    ("#2b8a3e", "boot-up"),
+    ("#e03131", "no answer, or refused"),
+];
 
 fn legend() -> String {
-    let kinds = [
-        Kind::Search,
-        Kind::Check,
-        Kind::Configure,
-        Kind::Store,
-        Kind::Reset,
-        Kind::BootUp,
-        Kind::Problem,
-    ];
     let mut x = MARGIN;
     let mut svg = String::new();
-    for kind in kinds {
-        let (color, name) = look(kind);
-        svg += &mark(kind, x, 66.0, color, name);
+    for (kind, (color, name)) in LOOKS.into_iter().enumerate() {
+        svg += &match kind == Kind::BootUp as usize {
+            true => moment(x, 72.0, color, name),
+            false => bar(x, 66.0, [10.0, 12.0], color, name),
+        };
         svg += &gray(x + 16.0, 76.0, "start", name);
         x += 34.0 + 6.4 * name.len() as f64;
     }
-    svg += &gray(x + 6.0, 76.0, "start", "below: each frame, to the board and from it");
-    svg
-}
-
-/// A step of no length.
-fn mark(kind: Kind, x: f64, y: f64, color: &str, title: &str) -> String {
-    match kind {
-        Kind::BootUp => format!(
-            "<path d=\"M {x:.1} {} l {} -6 l {} 6 l -{} 6 z\" fill=\"{color}\"><title>{}</title></path>\n",
-            y + 6.0,
-            BOOT / 2.0,
-            BOOT / 2.0,
-            BOOT / 2.0,
-            escape(title)
-        ),
-        _ => bar(x, y, [10.0, 12.0], color, title),
-    }
+    svg + &gray(x + 6.0, 76.0, "start", "below: each frame, to the board and from it")
 }
 
 /// The scale of the time, on which silences are shortened.
@@ -155,64 +116,25 @@ fn scale(history: &History) -> Scale {
         times.extend(requests.map(|(at, _)| *at));
         times.extend(lane.steps.iter().flat_map(|step| [step.from, step.to]));
     }
-    times.sort_unstable();
-    let gaps = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0]).min(SILENCE));
-    let length: Duration = gaps.sum();
-    let per_second = (PLOT - 20.0) / length.as_secs_f64().max(0.001);
-    Scale::new(times, LEFT, per_second, SILENCE.as_secs_f64() * per_second)
+    Scale::within(PLOT - 20.0, LEFT, times, SILENCE)
 }
 
-/// The bit rates, the marks of the time axis with their lines, and the silences that are shortened.
-fn axis(history: &History, scale: &Scale, bottom: f64) -> String {
-    let mut svg = String::new();
+/// Shades the bit rates, and the silences that are shortened.
+fn rates(picture: &mut Timeline, history: &History) {
     for (number, (from, rate)) in history.rates.iter().enumerate() {
-        let next = history.rates.get(number + 1);
-        let (x, to) = (scale.x(*from), next.map_or(RIGHT, |(at, _)| scale.x(*at)));
+        // The last one goes on to the end of the axis.
+        let to = history.rates.get(number + 1).map_or(Duration::MAX, |(at, _)| *at);
         let color = ["#f3f6fa", "#fdf3e4"][number % 2];
-        svg += &bar(x, TOP - 36.0, [to - x, bottom - TOP + 36.0], color, &rate.to_string());
+        let [x, end] = picture.shade([*from, to], TOP - 36.0, color, &rate.to_string());
         // A short stay has no room for its name.
-        if to - x > 70.0 {
-            svg += &label(x + 4.0, TOP - 24.0, "start", &rate.to_string());
+        if end - x > 70.0 {
+            picture.svg += &label(x + 4.0, TOP - 24.0, "start", &rate.to_string());
         }
     }
-    let mut last = f64::MIN;
-    let shortened: Vec<_> = scale.shortened().collect();
-    for (from, to) in &shortened {
-        let (x, end) = (scale.x(*from), scale.x(*to));
-        let seconds = (*to - *from).as_secs_f64();
-        svg += &bar(
-            x,
-            TOP,
-            [end - x, bottom - TOP],
-            "#e9ecef",
-            &format!("{seconds:.1} s without a request"),
-        );
+    for (from, to) in picture.scale.shortened().collect::<Vec<_>>() {
+        let title = format!("{:.1} s without a request", (to - from).as_secs_f64());
+        picture.shade([from, to], TOP, "#e9ecef", &title);
     }
-    let total = history.end.as_secs_f64();
-    let length: f64 = (scale.x(history.end) - LEFT).max(1.0);
-    let shown: f64 = total
-        - shortened.iter().map(|(from, to)| (*to - *from - SILENCE).as_secs_f64()).sum::<f64>();
-    let steps =
-        [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0];
-    let step =
-        steps.into_iter().find(|step| step / shown.max(0.001) * length >= MARKS).unwrap_or(1000.0);
-    let decimals = if step < 0.1 { 2 } else { usize::from(step < 1.0) };
-    for number in 0..=(total / step) as u32 {
-        let time = Duration::from_secs_f64(f64::from(number) * step);
-        let x = scale.x(time);
-        if x < last + MARKS || shortened.iter().any(|(from, to)| *from < time && time < *to) {
-            continue;
-        }
-        last = x;
-        let text = format!("{:.decimals$} s", time.as_secs_f64());
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{x:.1}\" y1=\"{TOP}\" x2=\"{x:.1}\" y2=\"{bottom}\" stroke=\"#d0d5db\"/>"
-        );
-        svg += &gray(x, TOP - 6.0, "middle", &text);
-        svg += &gray(x, bottom + 16.0, "middle", &text);
-    }
-    svg
 }
 
 /// The wire of the bus, with the adapter and a box for each board.
@@ -273,49 +195,21 @@ fn station(
 }
 
 /// The steps of a station, and its frames below them.
-fn lane(lane: &Lane, scale: &Scale, y: f64) -> String {
-    let mut svg =
-        format!("<path d=\"M {LEFT} {y} H {RIGHT}\" stroke=\"#b8bfc7\" fill=\"none\"/>\n");
-    // Steps that are too short to be seen stand side by side.
-    let mut free = f64::MIN;
-    let mut places = Vec::new();
-    for step in &lane.steps {
-        let least = if step.kind == Kind::BootUp { BOOT } else { LEAST };
-        let x = scale.x(step.from).max(free);
-        let width = (scale.x(step.to) - x).max(least);
-        places.push((x, width));
-        free = x + width + GAP;
-    }
-    // At the end they begin earlier.
-    let mut limit = RIGHT;
-    for (x, width) in places.iter_mut().rev() {
-        *x = x.min(limit - *width);
-        limit = *x - GAP;
-    }
-    for (step, (x, width)) in lane.steps.iter().zip(places) {
-        let (color, _) = look(step.kind);
-        let title = format!("{:.3} s: {}", step.from.as_secs_f64(), step.words);
-        svg += &match step.kind {
-            Kind::BootUp => mark(step.kind, x, y - 16.0, color, &title),
-            _ => bar(x, y - 15.0, [width, 12.0], color, &title),
-        };
-    }
+fn lane(picture: &mut Timeline, lane: &Lane, y: f64) {
+    picture.lane(y);
+    let step = |step: &history::Step| Step {
+        from: step.from,
+        to: step.to,
+        is_moment: step.kind == Kind::BootUp,
+        color: LOOKS[step.kind as usize].0,
+        title: format!("{:.3} s: {}", step.from.as_secs_f64(), step.words),
+    };
+    let steps: Vec<Step<'_>> = lane.steps.iter().map(step).collect();
+    picture.steps(y - 15.0, 12.0, &steps);
     for (is_request, color, top) in [(true, "#1b4f9c", y + 3.0), (false, "#2b8a3e", y + 11.0)] {
-        let mut path = String::new();
-        let mut last = f64::MIN;
-        for (at, _) in lane.frames.iter().filter(|(_, request)| *request == is_request) {
-            let x = scale.x(*at);
-            // What is closer cannot be seen.
-            if x >= last + 0.7 {
-                let _ = write!(path, "M{x:.1} {top}v6");
-                last = x;
-            }
-        }
-        if !path.is_empty() {
-            let _ = writeln!(svg, "<path d=\"{path}\" stroke=\"{color}\" stroke-width=\"0.7\"/>");
-        }
+        let frames = lane.frames.iter().filter(|(_, request)| *request == is_request);
+        picture.ticks(top, color, frames.map(|(at, _)| *at));
     }
-    svg
 }
 
 /// What a board has got, in two lines.
@@ -348,6 +242,14 @@ fn outcome(board: &Board, history: &History) -> [String; 2] {
         _ => format!("{frames}, {boots} boot-ups"),
     };
     [words, frames]
+}
+
+/// The beginning of words that are too long for their place; the step of a problem has all of them.
+fn beginning(words: &str) -> String {
+    match words.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", &words[..end]),
+        None => words.into(),
+    }
 }
 
 /// The lines of a text.
@@ -386,6 +288,7 @@ pub fn date_and_time(since_1970: Duration) -> String {
 
 #[cfg(test)]
 mod tests {
+    use can_bus::svg::MOMENT;
     use canopen_node::Frame;
 
     use super::*;
@@ -414,7 +317,7 @@ mod tests {
             .split("<path d=\"M ")
             .filter(|path| path.contains(" l 4 -6 ") && path.contains(" s: "));
         let ends: Vec<f64> = places
-            .filter_map(|path| Some(path.split(' ').next()?.parse::<f64>().ok()? + BOOT))
+            .filter_map(|path| Some(path.split(' ').next()?.parse::<f64>().ok()? + MOMENT))
             .collect();
         assert_eq!(ends.len(), 24);
         assert!(ends.is_sorted() && ends.iter().all(|end| *end <= RIGHT), "{ends:?}");

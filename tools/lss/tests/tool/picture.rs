@@ -23,12 +23,12 @@ fn svg(boards: &Boards, name: &str, arguments: &str) -> String {
     let svg = fs::read_to_string(path).expect("a picture");
     let texts = texts(&svg);
     for (number, (x, y, text)) in texts.iter().enumerate() {
-        let end = x + CHARACTER * text.len() as f64;
+        let end = x + CHARACTER * text.chars().count() as f64;
         assert!(*x >= 0.0 && end < 1240.0, "{text} at {x} leaves the picture");
         for (other_x, other_y, other) in &texts[..number] {
             let is_apart = (y - other_y).abs() > 11.0
                 || end <= *other_x
-                || other_x + CHARACTER * other.len() as f64 <= *x;
+                || other_x + CHARACTER * other.chars().count() as f64 <= *x;
             assert!(is_apart, "{text} is over {other}");
         }
     }
@@ -46,7 +46,7 @@ fn texts(svg: &str) -> Vec<(f64, f64, String)> {
             value.and_then(|rest| rest.split('"').next())
         };
         let number = |name| value(name).and_then(|text| text.parse().ok()).expect("a number");
-        let width = CHARACTER * text.len() as f64;
+        let width = CHARACTER * text.chars().count() as f64;
         let left: f64 = match value(" text-anchor") {
             Some("middle") => number("x") - width / 2.0,
             _ => number("x"),
@@ -124,6 +124,15 @@ fn a_switch_shows_the_bit_rates_and_the_way_back() {
     assert_eq!(back.matches(">no answer to switch state selective</text>").count(), 1);
     assert_eq!(count(&back, "all switch, with a delay of 500 ms"), 2);
     assert!(back.contains(">at 500 kbit/s: board "));
+}
+
+#[test]
+fn words_that_are_too_long_for_the_picture_are_cut() {
+    let boards = Boards::new(RATE, &[1]);
+    boards.unsupported.set(Some(0x13));
+    let svg = svg(&boards, "long.svg", "set-rate 500");
+    assert_eq!(svg.matches(">no answer to configure bit timing: 125 kbi…</text>").count(), 1);
+    assert!(count(&svg, "no answer to configure bit timing: 125 kbit/s (table 0, index 4)") > 0);
 }
 
 #[test]
