@@ -364,30 +364,6 @@ fn heartbeats_go_on_after_a_tpdo_behind_one_was_dropped() {
     assert!(dropped > 0, "in no round a TPDO waited");
 }
 
-#[test]
-fn a_heartbeat_that_is_lost_is_reported_and_has_the_effect_of_1029h() {
-    const LOST: &[&str] = &["081: 30 81 11 0A 00 00 00 00"];
-    // A node that stops sends no emergency message.
-    for (behaviour, command, emergency, state) in [
-        (0, "01 01", LOST, "701: 7F"),
-        (0, "80 01", LOST, "701: 7F"),
-        (1, "01 01", LOST, "701: 05"),
-        (2, "01 01", &SILENCE[..], "701: 04"),
-        (2, "80 01", &SILENCE[..], "701: 04"),
-    ] {
-        let mut rig = node_1();
-        let behaviour = format!("2F 29 10 01 {behaviour:02X}");
-        write(&mut rig, &["23 16 10 01 64 00 0A 00", &behaviour, "2B 17 10 00 0A 00"]);
-        rig.nmt(command);
-        for _ in 0..5 {
-            rig.transmit(data(0x70A, &[5]));
-            assert_eq!(of(0x081, &rig.collect(Time::from_ms(90))), SILENCE);
-        }
-        assert_eq!(of(0x081, &rig.collect(Time::from_ms(30))), emergency);
-        assert_eq!(of(0x701, &rig.collect(Time::from_ms(10))), [state]);
-    }
-}
-
 fn note(what: &str, spans: &[u64], most: u64) {
     let (least, worst) = (spans.iter().min().unwrap(), spans.iter().max().unwrap());
     let us = *worst as f64 / CORE_MHZ as f64;

@@ -11,7 +11,6 @@ mod controllers;
 mod damaged_log;
 mod disturbed;
 mod do_no_harm;
-mod eds;
 mod errors;
 mod example_sweep;
 mod halted;
