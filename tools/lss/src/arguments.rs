@@ -50,7 +50,7 @@ pub struct Target {
     pub address: Option<Address>,
 }
 
-/// The desired state, and how much is done.
+/// The files, and how much is done.
 #[derive(clap::Args)]
 pub struct Apply {
     /// A table of the network (network.toml, as of `lss assign`), DCFs of nodes (*.dcf), or a list of them

@@ -5,6 +5,7 @@ pub mod differences;
 pub mod files;
 pub mod found;
 pub mod new_boards;
+pub mod node;
 pub mod node_ids;
 pub mod replacement;
 pub mod sheet;

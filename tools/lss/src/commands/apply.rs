@@ -1,4 +1,4 @@
-//! `lss apply`: brings a network from the found to the desired state, and says before what it is going to do.
+//! `lss apply`: brings a network to the state that files describe, and says before what it is going to do.
 
 use std::{
     fs,
@@ -15,10 +15,10 @@ use crate::{
     plan::{
         dcf,
         differences::{Plan, counted, print_unknown},
-        files::Network,
-        found::{self, Found, Values},
+        files::Files,
+        found::{self, Found},
         node_ids::{Fate, NodeIds},
-        values,
+        values::{self, Values},
     },
     session::Session,
 };
@@ -34,19 +34,19 @@ pub fn apply(
 ) -> Result<(), Failure> {
     // Wrong files do not concern the boards.
     session.all_wait = true;
-    let network = Network::read(&arguments.files)?;
+    let files = Files::read(&arguments.files)?;
     session.all_wait = false;
     let mark = Mark::beside(&arguments.files[0]);
     let stores_again = mark.is_there();
-    found::open(session, given, network.bit_rate)?;
-    let mut found = found::boards(session, &network, arguments.plan)?;
+    found::open(session, given, files.bit_rate)?;
+    let mut found = found::boards(session, &files, arguments.plan)?;
     if found.places.iter().all(Option::is_none) && found.unknown.is_empty() {
         return Err(Failure::nobody(session.bus.rate()));
     }
     let trusts_stamps = !stores_again && !arguments.full;
-    let values = values(session, &network, &mut found, trusts_stamps)?;
+    let values = values(session, &files, &mut found, trusts_stamps)?;
     session.progress.clear();
-    let plan = Plan::new(&network, &found, &values, session.bus.rate(), stores_again);
+    let plan = Plan::new(&files, &found, &values, session.bus.rate(), stores_again);
     match arguments.json {
         true => plan.print_json(session)?,
         false => plan.print(session)?,
@@ -54,7 +54,7 @@ pub fn apply(
     if !arguments.plan && plan.differs() {
         mark.set()?;
         let before = found.problems.clone();
-        let problems = work(session, &network, &mut found, stores_again, trusts_stamps);
+        let problems = work(session, &files, &mut found, stores_again, trusts_stamps);
         let problems = match problems {
             Err(failure @ Failure::Stop(_)) => {
                 session.progress.clear();
@@ -73,7 +73,7 @@ pub fn apply(
         }
     }
     if let Some(folder) = &arguments.write_dcf {
-        write_dcfs(session, &network, &mut found, folder, arguments.json)?;
+        write_dcfs(session, &files, &mut found, folder, arguments.json)?;
     }
     match (found.problems.is_empty(), arguments.plan && plan.differs()) {
         (true, false) => {
@@ -93,18 +93,18 @@ pub fn apply(
 /// Compares the values of the nodes that can be asked; those of the others are not known yet.
 fn values(
     session: &mut Session<'_>,
-    network: &Network,
+    files: &Files,
     found: &mut Found,
     trusts_stamps: bool,
 ) -> Result<Vec<Option<Values>>, Failure> {
     let mut all = Vec::new();
-    for (node, place) in network.nodes.iter().zip(&found.places) {
+    for (node, place) in files.nodes.iter().zip(&found.places) {
         let id = place.filter(|place| !place.is_shared).and_then(|place| place.id);
         let Some(id) = id else {
             all.push(None);
             continue;
         };
-        match found::values(session, id, node, trusts_stamps) {
+        match values::compare(session, id, node, trusts_stamps) {
             Ok(mut values) => {
                 values.changes.retain_mut(|change| change.remains(node, id));
                 all.push(Some(values));
@@ -121,7 +121,7 @@ fn values(
 /// Carries the plan out: the node-IDs, the bit rate, the values. Returns what was left undone, in words.
 fn work(
     session: &mut Session<'_>,
-    network: &Network,
+    files: &Files,
     found: &mut Found,
     stores_again: bool,
     trusts_stamps: bool,
@@ -129,13 +129,13 @@ fn work(
     let known = std::mem::take(&mut found.problems);
     let before: Vec<_> =
         found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
-    let rate = network.bit_rate.filter(|rate| *rate == session.bus.rate());
-    give_node_ids(session, network, found, rate, stores_again)?;
+    let rate = files.bit_rate.filter(|rate| *rate == session.bus.rate());
+    give_node_ids(session, files, found, rate, stores_again)?;
     found.unshare();
     for row in found::late(session, found)? {
         print_unknown(&mut *session.out, &row)?;
     }
-    if let Some(rate) = network.bit_rate.filter(|rate| *rate != session.bus.rate()) {
+    if let Some(rate) = files.bit_rate.filter(|rate| *rate != session.bus.rate()) {
         match found.places.iter().all(Option::is_some) {
             true => set_rate(session, rate, SWITCH_DELAY)?,
             false => found.problems.push(format!(
@@ -146,7 +146,7 @@ fn work(
         session.bus.hold_interrupt(false);
     }
     let mut problems = std::mem::replace(&mut found.problems, known);
-    for ((node, place), before) in network.nodes.iter().zip(&found.places).zip(before) {
+    for ((node, place), before) in files.nodes.iter().zip(&found.places).zip(before) {
         let Some((place, id)) = place.and_then(|place| Some((place, place.id?))) else { continue };
         // It still waits for its node-ID.
         if id != node.id || place.is_shared {
@@ -191,16 +191,16 @@ fn work(
 /// Gives each board of the files its node-ID, and lets it store the bit `rate`, too, if it is known.
 fn give_node_ids(
     session: &mut Session<'_>,
-    network: &Network,
+    files: &Files,
     found: &mut Found,
     rate: Option<BitRate>,
     stores_again: bool,
 ) -> Result<(), Failure> {
     let mut node_ids = NodeIds::new(session, found, rate);
     let Found { places, problems, .. } = found;
-    let ids: Vec<NodeId> = network.nodes.iter().map(|node| node.id).collect();
+    let ids: Vec<NodeId> = files.nodes.iter().map(|node| node.id).collect();
     node_ids.give_all(session, &ids, places, stores_again, |_, number, address, fate| {
-        let words = network.nodes[number].words();
+        let words = files.nodes[number].words();
         match fate {
             Fate::Given { .. } => {}
             Fate::Taken => problems.push(format!(
@@ -219,12 +219,12 @@ fn give_node_ids(
 
 fn write_dcfs(
     session: &mut Session<'_>,
-    network: &Network,
+    files: &Files,
     found: &mut Found,
     folder: &Path,
     is_quiet: bool,
 ) -> Result<(), Failure> {
-    for (node, place) in network.nodes.iter().zip(&found.places) {
+    for (node, place) in files.nodes.iter().zip(&found.places) {
         let place = place.filter(|place| !place.is_shared);
         let Some((address, id)) = place.and_then(|place| Some((place.address, place.id?))) else {
             continue;

@@ -6,7 +6,7 @@ use can_bus::{eds, sdo};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::{
-    files::{Node, STAMP},
+    node::{Node, STAMP},
     sheet::Sheet,
 };
 use crate::{failure::Failure, session::Session};

@@ -5,8 +5,10 @@ use canopen_node::{BitRate, NodeId};
 use serde::Serialize;
 
 use super::{
-    files::{Network, Node},
-    found::{Found, Place, Values},
+    files::Files,
+    found::{Found, Place},
+    node::Node,
+    values::Values,
 };
 use crate::{
     address::{self, id_text},
@@ -65,13 +67,13 @@ impl Plan {
     /// The plan for these boards and their values, `None` for values that cannot be read yet. With `stores_again` all
     /// boards store, since an earlier run did not finish.
     pub fn new(
-        network: &Network,
+        files: &Files,
         found: &Found,
         values: &[Option<Values>],
         rate: BitRate,
         stores_again: bool,
     ) -> Self {
-        let nodes: Vec<NodePlan> = network
+        let nodes: Vec<NodePlan> = files
             .nodes
             .iter()
             .zip(&found.places)
@@ -82,7 +84,7 @@ impl Plan {
             .collect();
         let bit_rate = Difference {
             found: rate.kbit_per_s(),
-            wanted: network.bit_rate.unwrap_or(rate).kbit_per_s(),
+            wanted: files.bit_rate.unwrap_or(rate).kbit_per_s(),
         };
         Self {
             differs: bit_rate.found != bit_rate.wanted || nodes.iter().any(|node| node.differs),

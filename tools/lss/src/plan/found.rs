@@ -1,13 +1,12 @@
-//! The found state of a network: which board is where, and which values it has.
+//! Which board is where in the network.
 
-use can_bus::{eds, sdo};
 use canopen_node::{
     BitRate, NodeId,
     lss::{Address, Request},
 };
 use lss_master::InquireNodeId;
 
-use super::files::{Board, Network, Node, STAMP};
+use super::{files::Files, node::Node, sheet::Board};
 use crate::{
     address,
     failure::Failure,
@@ -130,22 +129,18 @@ pub fn places(
 ///
 /// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`),
 /// it waits until they have their node-IDs: [`late`].
-pub fn boards(
-    session: &mut Session<'_>,
-    network: &Network,
-    is_plan: bool,
-) -> Result<Found, Failure> {
+pub fn boards(session: &mut Session<'_>, files: &Files, is_plan: bool) -> Result<Found, Failure> {
     let nodes = nodes::nodes(session)?;
-    let boards: Vec<_> = network.nodes.iter().map(|node| (node.id, node.address())).collect();
+    let boards: Vec<_> = files.nodes.iter().map(|node| (node.id, node.address())).collect();
     let (mut found, absent) = places(session, nodes, &boards)?;
     let Found { places, unknown, is_scanned, problems, .. } = &mut found;
     let is_blank = |place: &Option<Place>| place.is_some_and(|place| place.id.is_none());
     let is_clear = |node: &Node| node.address().is_some() || only(node, unknown).is_ok();
-    *is_scanned = is_plan || !places.iter().any(is_blank) || !network.nodes.iter().all(is_clear);
+    *is_scanned = is_plan || !places.iter().any(is_blank) || !files.nodes.iter().all(is_clear);
     if *is_scanned {
         unknown.extend(others(session, places)?);
     }
-    for (node, place) in network.nodes.iter().zip(places) {
+    for (node, place) in files.nodes.iter().zip(places) {
         if node.address().is_none() {
             match only(node, unknown) {
                 Ok(row) => *place = place_of(&unknown.remove(row)),
@@ -154,7 +149,7 @@ pub fn boards(
         }
     }
     for (number, why) in absent {
-        let node = &network.nodes[number];
+        let node = &files.nodes[number];
         let words = node.words();
         problems.push(match (why, node.address()) {
             (None, Some(address)) => {
@@ -270,89 +265,4 @@ fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
             ))
         }
     }
-}
-
-/// A value that is not as it must be.
-#[derive(Clone, Debug)]
-pub struct Change {
-    pub address: eds::Address,
-    /// `None`: it cannot be read.
-    pub found: Option<Vec<u8>>,
-    pub wanted: Vec<u8>,
-}
-
-impl Change {
-    /// Whether the change remains when the board gets its node-ID. A value that is the default for the node-ID that it
-    /// has `now` follows.
-    pub fn remains(&mut self, node: &Node, now: NodeId) -> bool {
-        let default = |id: NodeId| node.entry(self.address)?.default(id.get());
-        if self.found.is_some() && self.found == default(now) {
-            self.found = default(node.id);
-        }
-        !self.found.as_ref().is_some_and(|found| node.is_as_wanted(self.address, found))
-    }
-}
-
-/// The values of a node.
-#[derive(Clone, Debug, Default)]
-pub struct Values {
-    pub changes: Vec<Change>,
-    /// The stamp is another one, or there is none where one must be.
-    pub lacks_stamp: bool,
-}
-
-impl Values {
-    pub fn are_as_wanted(&self) -> bool {
-        self.changes.is_empty() && !self.lacks_stamp
-    }
-}
-
-/// Compares the values of the node with this node-ID with the wishes: by its stamp alone, if that proves them and
-/// `trusts_stamp`.
-pub fn values(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-    trusts_stamp: bool,
-) -> Result<Values, Failure> {
-    let mut values = Values::default();
-    if let Some(stamp) = node.stamp {
-        for (sub_index, number) in (1..).zip(stamp.numbers) {
-            let found = sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)?
-                .map_err(|why| unreadable(node, (STAMP, sub_index), &why))?;
-            if found != number {
-                values.lacks_stamp = true;
-                break;
-            }
-        }
-        if stamp.is_proof && trusts_stamp && !values.lacks_stamp {
-            return Ok(values);
-        }
-    }
-    for (count, (address, wanted)) in node.values.iter().enumerate() {
-        session.progress.say(|| {
-            format!("{}: reading value {} of {}", node.words(), count + 1, node.values.len())
-        });
-        let entry = node.entry(*address);
-        let found = match entry.is_some_and(|entry| entry.can_be_read()) {
-            false => None,
-            true => Some(
-                sdo::read(&mut session.bus, id.get(), address.0, address.1)?
-                    .map_err(|why| unreadable(node, *address, &why))?,
-            ),
-        };
-        if !found.as_ref().is_some_and(|found| node.is_as_wanted(*address, found)) {
-            values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
-        }
-    }
-    Ok(values)
-}
-
-fn unreadable(node: &Node, address: eds::Address, why: &str) -> Failure {
-    let words = sdo::in_words(why);
-    let hint = match why {
-        "no answer" => ". Is the node stopped (NMT)? `lss list` shows it",
-        _ => ". Is it the data sheet of this board?",
-    };
-    Failure::Refused(format!("{} cannot be read: {words}{hint}", node.value_words(address)))
 }

@@ -1,4 +1,4 @@
-//! The data sheet of a board as the wishes need it: who the board is, and which bytes a value of the user is.
+//! The data sheet of a board: which board it is, and which bytes a value of the user is.
 
 use std::{
     collections::BTreeMap,
@@ -13,10 +13,20 @@ use can_bus::{
 use canopen_node::{BitRate, NodeId, lss::Address};
 use toml::Value as Toml;
 
-use super::files::Board;
-
 /// The node-ID and the bit rate in boards of this repository, which LSS sets.
 const SETTINGS_BY_SDO: (u16, &str) = (0x2FF0, "Node-ID and bit rate");
+
+/// Which board is meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Board {
+    Address(Address),
+    /// The only board of this kind; 0: of any revision.
+    Kind {
+        vendor_id: u32,
+        product_code: u32,
+        revision_number: u32,
+    },
+}
 
 /// A data sheet, and its file.
 pub struct Sheet {
@@ -122,8 +132,8 @@ impl Sheet {
         values
     }
 
-    /// A wish of the table: where it is, and its bytes.
-    pub fn wish(
+    /// A value of the table: where it is, and its bytes.
+    pub fn value(
         &self,
         key: &str,
         value: &Toml,
@@ -192,15 +202,15 @@ impl Sheet {
     }
 
     /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known:
-    /// that of the wishes, or the default.
+    /// the wanted one, or the default.
     pub fn complete_pdos(
         &self,
         node: u8,
         values: &mut BTreeMap<eds::Address, Vec<u8>>,
         problems: &mut Vec<String>,
     ) {
-        let wished: Vec<eds::Address> = values.keys().copied().collect();
-        for address in wished {
+        let wanted: Vec<eds::Address> = values.keys().copied().collect();
+        for address in wanted {
             let (index, sub_index) = address;
             let is_mapping = matches!(index, 0x1600..=0x17FF | 0x1A00..=0x1BFF);
             let is_fixed =

@@ -1,14 +1,12 @@
-//! The values of a node: written if they differ, stored, checked after a reset, and then proven by a stamp.
+//! The values of a node: compared with the wanted ones, written if they differ, stored, checked after a reset, and then
+//! proven by a stamp.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use can_bus::{eds, sdo};
 use canopen_node::{NodeId, lss::Address, nmt::State};
 
-use super::{
-    files::{Node, STAMP},
-    found::{self, Change, Values},
-};
+use super::node::{Node, STAMP};
 use crate::{failure::Failure, network::board::reset, session::Session};
 
 /// The value that stores all parameters, as it is written to 1010h.
@@ -19,6 +17,91 @@ const STORE_WAIT: Duration = Duration::from_secs(5);
 const OFF: u32 = 1 << 31;
 /// The COB-ID of SYNC: the node is its producer.
 const PRODUCER: u32 = 1 << 30;
+
+/// A value that is not as it must be.
+#[derive(Clone, Debug)]
+pub struct Change {
+    pub address: eds::Address,
+    /// `None`: it cannot be read.
+    pub found: Option<Vec<u8>>,
+    pub wanted: Vec<u8>,
+}
+
+impl Change {
+    /// Whether the change remains when the board gets its node-ID. A value that is the default for the node-ID that it
+    /// has `now` follows.
+    pub fn remains(&mut self, node: &Node, now: NodeId) -> bool {
+        let default = |id: NodeId| node.entry(self.address)?.default(id.get());
+        if self.found.is_some() && self.found == default(now) {
+            self.found = default(node.id);
+        }
+        !self.found.as_ref().is_some_and(|found| node.is_as_wanted(self.address, found))
+    }
+}
+
+/// The values of a node.
+#[derive(Clone, Debug, Default)]
+pub struct Values {
+    pub changes: Vec<Change>,
+    /// The stamp is another one, or there is none where one must be.
+    pub lacks_stamp: bool,
+}
+
+impl Values {
+    pub fn are_as_wanted(&self) -> bool {
+        self.changes.is_empty() && !self.lacks_stamp
+    }
+}
+
+/// Compares the values of the node with this node-ID with the wanted ones: by its stamp alone, if that proves them and
+/// `trusts_stamp`.
+pub fn compare(
+    session: &mut Session<'_>,
+    id: NodeId,
+    node: &Node,
+    trusts_stamp: bool,
+) -> Result<Values, Failure> {
+    let mut values = Values::default();
+    if let Some(stamp) = node.stamp {
+        for (sub_index, number) in (1..).zip(stamp.numbers) {
+            let found = sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)?
+                .map_err(|why| unreadable(node, (STAMP, sub_index), &why))?;
+            if found != number {
+                values.lacks_stamp = true;
+                break;
+            }
+        }
+        if stamp.is_proof && trusts_stamp && !values.lacks_stamp {
+            return Ok(values);
+        }
+    }
+    for (count, (address, wanted)) in node.values.iter().enumerate() {
+        session.progress.say(|| {
+            format!("{}: reading value {} of {}", node.words(), count + 1, node.values.len())
+        });
+        let entry = node.entry(*address);
+        let found = match entry.is_some_and(|entry| entry.can_be_read()) {
+            false => None,
+            true => Some(
+                sdo::read(&mut session.bus, id.get(), address.0, address.1)?
+                    .map_err(|why| unreadable(node, *address, &why))?,
+            ),
+        };
+        if !found.as_ref().is_some_and(|found| node.is_as_wanted(*address, found)) {
+            values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
+        }
+    }
+    Ok(values)
+}
+
+fn unreadable(node: &Node, address: eds::Address, why: &str) -> Failure {
+    let words = sdo::in_words(why);
+    let hint = match why {
+        "no answer" => ". Is the node stopped (NMT)? `lss list` shows it",
+        _ => ". Is it the data sheet of this board?",
+    };
+    Failure::Refused(format!("{} cannot be read: {words}{hint}", node.value_words(address)))
+}
 
 /// What was done with a node.
 #[derive(Default)]
@@ -31,7 +114,7 @@ pub struct Done {
     pub was_operational: bool,
 }
 
-/// Brings the node to the wished values. With `stores_again` they are stored in any case.
+/// Brings the node to the wanted values. With `stores_again` they are stored in any case.
 pub fn apply(
     session: &mut Session<'_>,
     id: NodeId,
@@ -40,183 +123,165 @@ pub fn apply(
     stores_again: bool,
     trusts_stamps: bool,
 ) -> Result<Done, Failure> {
-    let values = found::values(session, id, node, trusts_stamps)?;
+    let values = compare(session, id, node, trusts_stamps)?;
     let has_none = node.values.is_empty() && node.stamp.is_none();
+    let mut target = Target { session, id, node };
     match values.are_as_wanted() {
         _ if has_none => Ok(Done::default()),
         true if !stores_again || !node.can_store() => Ok(Done::default()),
         // Nobody knows whether a run that was cut off has stored them, or their stamp.
         true => {
-            store(session, id, node)?;
+            target.store()?;
             Ok(Done { is_stored: true, ..Done::default() })
         }
-        false => carry(session, id, address, node, &values),
+        false => target.change(address, &values.changes),
     }
 }
 
-fn carry(
-    session: &mut Session<'_>,
+/// A node whose values change.
+struct Target<'s, 'a> {
+    session: &'s mut Session<'a>,
     id: NodeId,
-    address: &Address,
-    node: &Node,
-    values: &Values,
-) -> Result<Done, Failure> {
-    write_all(session, id, node, values)?;
-    let mut done = Done { written: values.changes.len(), ..Done::default() };
-    if node.can_store() {
-        store(session, id, node)?;
-        (done.is_stored, done.is_verified) = (true, true);
-        done.was_operational =
-            session.bus.states.get(&id.get()) == Some(&(State::Operational as u8));
-        session.progress.say(|| format!("{}: reset", node.words()));
-        reset(session, id, address)?;
+    node: &'s Node,
+}
+
+impl Target<'_, '_> {
+    fn change(&mut self, address: &Address, changes: &[Change]) -> Result<Done, Failure> {
+        self.write_all(changes)?;
+        let node = self.node;
+        let mut done = Done { written: changes.len(), ..Done::default() };
+        if node.can_store() {
+            self.store()?;
+            (done.is_stored, done.is_verified) = (true, true);
+            let state = self.session.bus.states.get(&self.id.get());
+            done.was_operational = state == Some(&(State::Operational as u8));
+            self.session.progress.say(|| format!("{}: reset", node.words()));
+            reset(self.session, self.id, address)?;
+        }
+        for Change { address, wanted, .. } in changes {
+            let Some(entry) = node.entry(*address).filter(|entry| entry.can_be_read()) else {
+                continue;
+            };
+            let words = node.value_words(*address);
+            let found = sdo::read(&mut self.session.bus, self.id.get(), address.0, address.1)?
+                .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?;
+            if !node.is_as_wanted(*address, &found) {
+                let (found, wanted) = (entry.text(&found), entry.text(wanted));
+                return Err(Failure::Refused(match done.is_stored {
+                    true => format!(
+                        "{words} is {found} after a reset, and not {wanted}: the board does not store it. Take it out of the \
+                         file"
+                    ),
+                    false => format!("{words} is {found}, although {wanted} was written"),
+                }));
+            }
+        }
+        // Only now, since it proves that the values are there after a reset.
+        if let Some(stamp) = node.stamp {
+            for (sub_index, number) in (1..).zip(stamp.numbers) {
+                self.write((STAMP, sub_index), &number.to_le_bytes())?;
+            }
+            self.store()?;
+        }
+        Ok(done)
     }
-    for Change { address, wanted, .. } in &values.changes {
-        let Some(entry) = node.entry(*address).filter(|entry| entry.can_be_read()) else {
-            continue;
+
+    /// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last.
+    fn write_all(&mut self, changes: &[Change]) -> Result<(), Failure> {
+        // A PDO by the index of its communication parameters.
+        let pdo = |change: &Change| match change.address.0 {
+            index @ (0x1400..=0x15FF | 0x1800..=0x19FF) => Some(index),
+            index @ (0x1600..=0x17FF | 0x1A00..=0x1BFF) => Some(index - 0x200),
+            _ => None,
         };
-        let words = node.value_words(*address);
-        let found = sdo::read(&mut session.bus, id.get(), address.0, address.1)?
-            .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?;
-        if !node.is_as_wanted(*address, &found) {
-            let (found, wanted) = (entry.text(&found), entry.text(wanted));
-            return Err(Failure::Refused(match done.is_stored {
-                true => format!(
-                    "{words} is {found} after a reset, and not {wanted}: the board does not store it. Take it out of the \
-                     file"
-                ),
-                false => format!("{words} is {found}, although {wanted} was written"),
-            }));
+        let node = self.node;
+        let others = changes.iter().filter(|change| pdo(change).is_none());
+        for (number, change) in (1..).zip(others) {
+            let count = changes.len();
+            self.session
+                .progress
+                .say(|| format!("{}: writing value {number} of {count}", node.words()));
+            self.write_change(change)?;
         }
-    }
-    // Only now, since it proves that the values are there after a reset.
-    if let Some(stamp) = node.stamp {
-        for (sub_index, number) in (1..).zip(stamp.numbers) {
-            write(session, id, node, (STAMP, sub_index), &number.to_le_bytes())?;
+        for index in changes.iter().filter_map(pdo).collect::<BTreeSet<u16>>() {
+            let of_it = changes.iter().filter(|change| pdo(change) == Some(index));
+            let changes: Vec<&Change> = of_it.collect();
+            self.session.progress.say(|| format!("{}: PDO {index:04X}", node.words()));
+            // Half a PDO would be on the bus otherwise.
+            let id = self.id;
+            self.session
+                .uninterrupted(|session| Target { session, id, node }.write_pdo(index, &changes))?;
         }
-        store(session, id, node)?;
+        Ok(())
     }
-    Ok(done)
-}
 
-/// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last.
-fn write_all(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-    values: &Values,
-) -> Result<(), Failure> {
-    // The number of a PDO, by its parameters or its mapping; by the index of its communication parameters.
-    let pdo = |address: eds::Address| match address.0 {
-        index @ (0x1400..=0x15FF | 0x1800..=0x19FF) => Some(index),
-        index @ (0x1600..=0x17FF | 0x1A00..=0x1BFF) => Some(index - 0x200),
-        _ => None,
-    };
-    let mut pdos: Vec<u16> =
-        values.changes.iter().filter_map(|change| pdo(change.address)).collect();
-    pdos.dedup();
-    pdos.sort_unstable();
-    pdos.dedup();
-    let (count, mut number) = (values.changes.len(), 0);
-    for change in values.changes.iter().filter(|change| pdo(change.address).is_none()) {
-        number += 1;
-        session.progress.say(|| format!("{}: writing value {number} of {count}", node.words()));
-        write_change(session, id, node, change)?;
-    }
-    for index in pdos {
-        let of_it = values.changes.iter().filter(|change| pdo(change.address) == Some(index));
-        let changes: Vec<&Change> = of_it.collect();
-        session.progress.say(|| format!("{}: PDO {index:04X}", node.words()));
-        // Half a PDO would be on the bus otherwise.
-        session.uninterrupted(|session| write_pdo(session, id, node, index, &changes))?;
-    }
-    Ok(())
-}
-
-/// Writes a value. A COB-ID that is in use is switched off first (CiA 301, 1005h and 1014h).
-fn write_change(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-    change: &Change,
-) -> Result<(), Failure> {
-    let Change { address, found, wanted } = change;
-    let off = match (address, found.as_deref().map(<[u8; 4]>::try_from)) {
-        ((0x1014, 0), Some(Ok(found))) if u32::from_le_bytes(found) & OFF == 0 => {
-            Some(u32::from_le_bytes(found) | OFF)
+    /// Writes a value. A COB-ID that is in use is switched off first (CiA 301, 1005h and 1014h).
+    fn write_change(&mut self, change: &Change) -> Result<(), Failure> {
+        let Change { address, found, wanted } = change;
+        let found = found.as_deref().and_then(|found| found.try_into().ok());
+        let off = match (address, found.map(u32::from_le_bytes)) {
+            ((0x1014, 0), Some(found)) if found & OFF == 0 => Some(found | OFF),
+            ((0x1005, 0), Some(found)) if found & PRODUCER != 0 => Some(found & !PRODUCER),
+            _ => None,
+        };
+        if let Some(off) = off {
+            self.write(*address, &off.to_le_bytes())?;
         }
-        ((0x1005, 0), Some(Ok(found))) if u32::from_le_bytes(found) & PRODUCER != 0 => {
-            Some(u32::from_le_bytes(found) & !PRODUCER)
-        }
-        _ => None,
-    };
-    if let Some(off) = off {
-        write(session, id, node, *address, &off.to_le_bytes())?;
+        self.write(*address, wanted)
     }
-    write(session, id, node, *address, wanted)
-}
 
-/// Writes what differs in a PDO with these communication parameters (CiA 301, 7.5.2.36 and 7.5.2.38).
-fn write_pdo(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-    index: u16,
-    changes: &[&Change],
-) -> Result<(), Failure> {
-    let cob_id = (index, 1);
-    let mapping = index + 0x200;
-    let Some(wanted) = node.values.get(&cob_id) else {
-        // Neither mapping nor COB-ID are wished.
+    /// Writes what differs in a PDO with these communication parameters (CiA 301, 7.5.2.36 and 7.5.2.38).
+    fn write_pdo(&mut self, index: u16, changes: &[&Change]) -> Result<(), Failure> {
+        let node = self.node;
+        let cob_id = (index, 1);
+        let mapping = index + 0x200;
+        let Some(wanted) = node.values.get(&cob_id) else {
+            // Neither mapping nor COB-ID are wanted.
+            return changes
+                .iter()
+                .try_for_each(|change| self.write(change.address, &change.wanted));
+        };
+        let mut off = wanted.clone();
+        if let Some(top) = off.last_mut() {
+            *top |= 0x80;
+        }
+        self.write(cob_id, &off)?;
+        if changes.iter().any(|change| change.address.0 == mapping) {
+            self.write((mapping, 0), &[0])?;
+            let count = node.values.get(&(mapping, 0)).cloned().unwrap_or_default();
+            // Those beyond the number of mapped objects need not exist.
+            let last = count.first().copied().unwrap_or(0);
+            let mapped = node.values.range((mapping, 1)..=(mapping, 0xFF));
+            for (address, bytes) in mapped.take_while(|(address, _)| address.1 <= last) {
+                self.write(*address, bytes)?;
+            }
+            self.write((mapping, 0), &count)?;
+        }
         for change in changes {
-            write(session, id, node, change.address, &change.wanted)?;
+            if change.address.0 == index && change.address != cob_id {
+                self.write(change.address, &change.wanted)?;
+            }
         }
-        return Ok(());
-    };
-    let mut steps: Vec<(eds::Address, Vec<u8>)> = Vec::new();
-    let mut off: Vec<u8> = wanted.clone();
-    if let Some(top) = off.last_mut() {
-        *top |= 0x80;
+        self.write(cob_id, wanted)
     }
-    steps.push((cob_id, off));
-    let is_mapping = |change: &&&Change| change.address.0 == mapping;
-    if changes.iter().any(|change| is_mapping(&change)) {
-        steps.push(((mapping, 0), vec![0]));
-        let mapped = node.values.range((mapping, 1)..=(mapping, 0xFF));
-        let count = node.values.get(&(mapping, 0)).cloned().unwrap_or_default();
-        // Those beyond the number of mapped objects need not exist.
-        let is_used = |sub_index: u8| count.first().is_some_and(|count| sub_index <= *count);
-        let used = mapped.filter(|(address, _)| is_used(address.1));
-        steps.extend(used.map(|(address, bytes)| (*address, bytes.clone())));
-        steps.push(((mapping, 0), count));
-    }
-    let others =
-        changes.iter().filter(|change| change.address.0 == index && change.address != cob_id);
-    steps.extend(others.map(|change| (change.address, change.wanted.clone())));
-    steps.push((cob_id, wanted.clone()));
-    for (address, bytes) in steps {
-        write(session, id, node, address, &bytes)?;
-    }
-    Ok(())
-}
 
-fn store(session: &mut Session<'_>, id: NodeId, node: &Node) -> Result<(), Failure> {
-    session.progress.say(|| format!("{}: storing", node.words()));
-    write(session, id, node, (0x1010, 1), SAVE)
-}
+    fn store(&mut self) -> Result<(), Failure> {
+        let node = self.node;
+        self.session.progress.say(|| format!("{}: storing", node.words()));
+        self.write((0x1010, 1), SAVE)
+    }
 
-fn write(
-    session: &mut Session<'_>,
-    id: NodeId,
-    node: &Node,
-    address: eds::Address,
-    bytes: &[u8],
-) -> Result<(), Failure> {
-    let outcome = sdo::download(&mut session.bus, id.get(), address, bytes, STORE_WAIT)?;
-    let text = node.entry(address).map_or_else(String::new, |entry| entry.text(bytes));
-    let words = |why: String| match address {
-        (0x1010, _) => format!("it cannot store: {}", sdo::in_words(&why)),
-        _ => format!("{} cannot be {text}: {}", node.value_words(address), sdo::in_words(&why)),
-    };
-    outcome.map_err(|why| Failure::Refused(words(why)))
+    fn write(&mut self, address: eds::Address, bytes: &[u8]) -> Result<(), Failure> {
+        let bus = &mut self.session.bus;
+        sdo::download(bus, self.id.get(), address, bytes, STORE_WAIT)?.map_err(|why| {
+            let why = sdo::in_words(&why);
+            Failure::Refused(match (address, self.node.entry(address)) {
+                ((0x1010, _), _) => format!("it cannot store: {why}"),
+                (_, entry) => {
+                    let text = entry.map_or_else(String::new, |entry| entry.text(bytes));
+                    format!("{} cannot be {text}: {why}", self.node.value_words(address))
+                }
+            })
+        })
+    }
 }
