@@ -15,7 +15,7 @@ const INTERVAL: Duration = Duration::from_millis(100);
 
 /// The person, if there is one.
 pub struct Person {
-    is_there: bool,
+    is_present: bool,
     /// The lines that the person has written since the first question.
     lines: OnceCell<Receiver<String>>,
 }
@@ -23,26 +23,26 @@ pub struct Person {
 impl Person {
     /// A person who answers on the standard input.
     pub fn at_standard_input() -> Self {
-        Self { is_there: true, lines: OnceCell::new() }
+        Self { is_present: true, lines: OnceCell::new() }
     }
 
     /// Nobody, who answers nothing.
     pub fn absent() -> Self {
-        Self { is_there: false, lines: OnceCell::new() }
+        Self { is_present: false, lines: OnceCell::new() }
     }
 
     /// A person who answers these lines and no more.
     pub fn who_says(lines: &[&str]) -> Self {
         let (sender, receiver) = mpsc::channel();
         for line in lines {
-            // The receiver is there.
+            // The receiver exists.
             let _ = sender.send((*line).to_owned());
         }
-        Self { is_there: true, lines: OnceCell::from(receiver) }
+        Self { is_present: true, lines: OnceCell::from(receiver) }
     }
 
-    pub fn is_there(&self) -> bool {
-        self.is_there
+    pub fn is_present(&self) -> bool {
+        self.is_present
     }
 
     /// The next line of the person. `wait` lets a short time pass, and says whether to go on; its error ends the wait.
@@ -50,7 +50,7 @@ impl Person {
         &self,
         mut wait: impl FnMut() -> Result<bool, E>,
     ) -> Result<Option<String>, E> {
-        if !self.is_there {
+        if !self.is_present {
             return Ok(None);
         }
         let lines = self.lines.get_or_init(standard_input);

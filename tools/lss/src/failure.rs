@@ -31,6 +31,14 @@ impl Failure {
         Self::NoAnswer(format!("nobody answers at {rate}. `lss find` looks for the bit rate"))
     }
 
+    /// All problems, if there are any.
+    pub fn of(problems: &[String]) -> Result<(), Self> {
+        match problems {
+            [] => Ok(()),
+            problems => Err(Self::Refused(problems.join("\n"))),
+        }
+    }
+
     /// What is wrong with one board, in words; a failure that ends the run stays one.
     pub fn of_board(self) -> Result<String, Self> {
         match self {

@@ -14,12 +14,12 @@ const INTERVAL: Duration = Duration::from_millis(100);
 pub struct Progress {
     is_shown: bool,
     next: Instant,
-    is_there: bool,
+    is_drawn: bool,
 }
 
 impl Progress {
     pub fn new(is_shown: bool) -> Self {
-        Self { is_shown, next: Instant::now() + PATIENCE, is_there: false }
+        Self { is_shown, next: Instant::now() + PATIENCE, is_drawn: false }
     }
 
     /// Says what is being done.
@@ -29,7 +29,7 @@ impl Progress {
             // Without a terminal there is nobody to read it.
             let _ = write!(io::stderr(), "\r\x1B[K{}", what());
             self.next = now + INTERVAL;
-            self.is_there = true;
+            self.is_drawn = true;
         }
     }
 
@@ -41,9 +41,9 @@ impl Progress {
 
     /// Clears the line.
     pub fn clear(&mut self) {
-        if self.is_there {
+        if self.is_drawn {
             let _ = write!(io::stderr(), "\r\x1B[K");
-            self.is_there = false;
+            self.is_drawn = false;
         }
     }
 }

@@ -65,14 +65,13 @@ impl Session<'_> {
 
     fn dispatch(&mut self, arguments: &Arguments) -> Result<(), Failure> {
         let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
-        if let Command::Find { ask } = arguments.command {
-            return commands::find(self, rate, ask);
+        match &arguments.command {
+            Command::Find { ask } => return commands::find(self, rate, *ask),
+            Command::Apply(files) => return commands::apply(self, arguments.bit_rate, files),
+            Command::Completion { .. } => return Ok(()),
+            _ => self.bus.open(rate)?,
         }
-        if let Command::Apply(arguments_of_it) = &arguments.command {
-            return commands::apply(self, arguments.bit_rate, arguments_of_it);
-        }
-        self.bus.open(rate)?;
-        match arguments.command {
+        match &arguments.command {
             // These let boards store, send what the user asks for, or do it themselves.
             Command::Store(_) | Command::Raw { .. } | Command::Assign(_) => {}
             _ => board::end_earlier_run(self)?,

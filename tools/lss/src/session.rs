@@ -60,7 +60,7 @@ impl<'a> Session<'a> {
 
     /// Asks the person on the standard error, with all boards in LSS waiting state; `None` if nobody answers.
     pub fn ask(&mut self, question: &str) -> Result<Option<String>, Failure> {
-        if !self.person.is_there() {
+        if !self.person.is_present() {
             return Ok(None);
         }
         self.bus.request(Request::SwitchToWaiting)?;

@@ -21,7 +21,7 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
 
 /// Whether there is a person who agrees.
 fn agrees(bench: &Bench, question: &str) -> bool {
-    if bench.person.is_there() {
+    if bench.person.is_present() {
         println!("  ?       {question} [y = yes, Enter = no]");
     }
     bench.person.agrees(|| bench.bus.check_interrupt().is_err())

@@ -2,12 +2,12 @@
 
 use std::{collections::BTreeSet, time::Duration};
 
-use canopen_node::{Frame, NodeId, lss::Address};
+use canopen_node::{NodeId, lss::Address};
 
 use crate::{
     address,
     arguments::Assign,
-    commands::power,
+    commands::power::{self, HANDS},
     failure::Failure,
     network::{board, nodes, rows, scan},
     plan::{
@@ -20,9 +20,7 @@ use crate::{
     session::Session,
 };
 
-/// The wait for the next board that somebody plugs in.
-const HANDS: Duration = Duration::from_secs(120);
-/// The time between two looks for it.
+/// The time between two looks for the next board that somebody plugs in.
 const LOOK: Duration = Duration::from_millis(250);
 
 /// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over
@@ -51,10 +49,7 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
             }
         },
     }
-    match work.done.problems.is_empty() {
-        true => Ok(()),
-        false => Err(Failure::Refused(work.done.problems.join("\n"))),
-    }
+    Failure::of(&work.done.problems)
 }
 
 fn carry_out(
@@ -97,14 +92,6 @@ fn of_the_table(
     absent: Absent,
 ) -> Result<Vec<(NodeId, Address)>, Failure> {
     let entries = work.entries();
-    session.progress.clear();
-    for ((id, address), _) in entries
-        .iter()
-        .zip(&*places)
-        .filter(|((id, _), place)| place.is_some_and(|place| place.id == Some(*id)))
-    {
-        writeln!(session.out, "node {}  {}  as in the table", id.get(), address::text(address))?;
-    }
     let mut missing = Vec::new();
     for (number, why) in absent {
         let (id, address) = entries[number];
@@ -174,12 +161,9 @@ fn one_at_a_time(session: &mut Session<'_>, work: &mut Work) -> Result<(), Failu
 
 /// Names the boards that have come with a node-ID.
 fn named(session: &mut Session<'_>, work: &mut Work) -> Result<bool, Failure> {
-    let booted = |frame: &Frame| match (frame.cob_id(), frame.data()) {
-        (id @ 0x701..=0x77F, [0]) => Some((id & 0x7F) as u8),
-        _ => None,
-    };
     let unasked = session.bus.take_unasked();
-    let ids: BTreeSet<u8> = unasked.iter().filter_map(|received| booted(&received.frame)).collect();
+    let ids: BTreeSet<u8> =
+        unasked.iter().filter_map(|received| nodes::booted(&received.frame)).collect();
     for id in &ids {
         let numbers = nodes::serial_numbers(session, *id)?;
         work.node_ids.note(*id);

@@ -32,12 +32,12 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
             duplicates.join(", ")
         ));
     }
-    match (problems.is_empty(), rows.iter().any(|row| row.is_duplicate)) {
-        (false, _) => Err(Failure::Refused(problems.join("\n"))),
-        (true, true) => Err(Failure::Refused(
+    Failure::of(&problems)?;
+    match rows.iter().any(|row| row.is_duplicate) {
+        true => Err(Failure::Refused(
             "boards share a node-ID, and do not tell their LSS addresses: take all but one off the bus".into(),
         )),
-        (true, false) => Ok(()),
+        false => Ok(()),
     }
 }
 

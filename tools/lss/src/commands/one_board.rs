@@ -116,7 +116,7 @@ pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
     };
     choose(session, Target { address: Some(address) })?;
     let id = session.carry_out(InquireNodeId)?;
-    let is_attended = session.person.is_there();
+    let is_attended = session.person.is_present();
     let board = match id {
         Some(id) => format!("node {}", id.get()),
         None => "board".into(),

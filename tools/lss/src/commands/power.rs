@@ -2,21 +2,19 @@
 
 use std::{collections::BTreeSet, time::Duration};
 
-use canopen_node::{Frame, lss::Request};
+use canopen_node::lss::Request;
 
 use crate::{
     address,
     failure::Failure,
     network::{nodes, rows, scan},
-    session::Session,
+    session::{GLANCE, Session},
 };
 
-/// The wait until somebody has switched the power.
-const HANDS: Duration = Duration::from_secs(120);
+/// The wait for a person who switches the power, or plugs a board in.
+pub const HANDS: Duration = Duration::from_secs(120);
 /// The wait for the next board to come back.
 const NEXT: Duration = Duration::from_secs(30);
-/// The time between two looks at what is said on the way.
-const GLANCE: Duration = Duration::from_millis(200);
 
 /// Asks the person to switch the power off and on, and checks that each node boots up again and is the same board.
 pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
@@ -86,8 +84,6 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
 
 /// Waits for the boot-up of each node; returns those that do not come.
 fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, Failure> {
-    let is_boot_up =
-        |frame: &Frame| (0x701..=0x77F).contains(&frame.cob_id()) && frame.data() == [0];
     let mut absent = ids.clone();
     let mut until = session.bus.time() + HANDS;
     while !absent.is_empty() && session.bus.time() < until {
@@ -96,8 +92,8 @@ fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, F
             .progress
             .say(|| format!("waiting for the power: {back} of {} boards are back", ids.len()));
         let received = session.bus.receive(until.min(session.bus.time() + GLANCE))?;
-        let Some(frame) = received.map(|received| received.frame) else { continue };
-        if is_boot_up(&frame) && absent.remove(&((frame.cob_id() & 0x7F) as u8)) {
+        let booted = received.and_then(|received| nodes::booted(&received.frame));
+        if booted.is_some_and(|id| absent.remove(&id)) {
             until = session.bus.time() + NEXT;
         }
     }

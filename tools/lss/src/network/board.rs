@@ -138,9 +138,8 @@ pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result
         return Ok(false);
     }
     let number = sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)?;
-    let is_boot_up =
-        |frame: &Frame| frame.cob_id() == 0x700 + u16::from(id.get()) && frame.data() == [0];
-    if session.bus.take_unasked().iter().any(|received| is_boot_up(&received.frame)) {
+    let mut unasked = session.bus.take_unasked().into_iter();
+    if unasked.any(|received| nodes::booted(&received.frame) == Some(id.get())) {
         return Err(Failure::Refused(nodes::two(&address::text(address), id.get())));
     }
     match number {

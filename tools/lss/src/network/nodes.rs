@@ -155,6 +155,14 @@ pub fn answers_of(session: &mut Session<'_>, id: u8, sub_index: u8) -> Result<Ve
     Ok(numbers)
 }
 
+/// The node-ID in a boot-up message.
+pub fn booted(frame: &Frame) -> Option<u8> {
+    match (frame.cob_id(), frame.data()) {
+        (id @ 0x701..=0x77F, [0]) => Some((id & 0x7F) as u8),
+        _ => None,
+    }
+}
+
 /// The number in an answer for a part of object 1018h; 0 for an abort.
 fn sdo_answer(frame: &Frame, part: u8) -> Option<u32> {
     match *frame.data() {

@@ -134,14 +134,11 @@ pub fn node(
     let bit_rate = session.bus.rate().kbit_per_s();
     let home_bit_rate = home_bit_rate(session, id)?;
     let row = |serial_number: &u32| {
+        // A node that does not tell a part has no LSS address that it could be selected by.
         let address = match (numbers, *serial_number) {
-            // A node that does not tell a part has no LSS address that it could be selected by.
-            ([Some(vendor_id), Some(product_code), Some(revision_number)], 1..) => Some(Address {
-                vendor_id,
-                product_code,
-                revision_number,
-                serial_number: *serial_number,
-            }),
+            ([Some(vendor), Some(product), Some(revision)], serial @ 1..) => {
+                Some(Address::from([vendor, product, revision, serial]))
+            }
             _ => None,
         };
         Row {

@@ -103,7 +103,7 @@ fn scan(
     found: &mut Vec<Address>,
 ) -> Result<bool, Failure> {
     // Silence in the beginning ends the search: it is asked for twice.
-    if !begin(session)? && !begin(session)? {
+    if !fastscan(session, 0, BEGIN, 0, 0)? && !fastscan(session, 0, BEGIN, 0, 0)? {
         return Ok(part == AddressPart::VendorId);
     }
     for before in (0..part as u8).filter_map(AddressPart::new) {
@@ -160,10 +160,6 @@ pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
         ))),
         false => Ok(()),
     }
-}
-
-fn begin(session: &mut Session<'_>) -> Result<bool, Failure> {
-    fastscan(session, 0, BEGIN, 0, 0)
 }
 
 fn fastscan(

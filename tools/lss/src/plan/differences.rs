@@ -1,6 +1,5 @@
 //! The plan: per board what is there and what it will be, as text and as JSON.
 
-use can_bus::eds;
 use canopen_node::{BitRate, NodeId};
 use serde::Serialize;
 
@@ -8,7 +7,7 @@ use super::{
     files::Files,
     found::{Found, Place},
     node::Node,
-    values::Values,
+    values::{Change, Values},
 };
 use crate::{
     address::{self, id_text},
@@ -64,12 +63,12 @@ struct ValuePlan {
 }
 
 impl Plan {
-    /// The plan for these boards and their values, `None` for values that cannot be read yet. With `stores_again` all
+    /// The plan for these boards and their values. With `stores_again` all
     /// boards store, since an earlier run did not finish.
     pub fn new(
         files: &Files,
         found: &Found,
-        values: &[Option<Values>],
+        values: &[Values],
         rate: BitRate,
         stores_again: bool,
     ) -> Self {
@@ -78,9 +77,7 @@ impl Plan {
             .iter()
             .zip(&found.places)
             .zip(values)
-            .map(|((node, place), values)| {
-                NodePlan::new(node, *place, values.as_ref(), stores_again)
-            })
+            .map(|((node, place), values)| NodePlan::new(node, *place, values, stores_again))
             .collect();
         let bit_rate = Difference {
             found: rate.kbit_per_s(),
@@ -160,51 +157,37 @@ pub fn counted(count: usize, what: &str) -> String {
 }
 
 impl NodePlan {
-    fn new(node: &Node, place: Option<Place>, values: Option<&Values>, stores_again: bool) -> Self {
+    fn new(node: &Node, place: Option<Place>, values: &Values, stores_again: bool) -> Self {
         let found = place.and_then(|place| place.id).map(NodeId::get);
         let node_id = Difference { found, wanted: Some(node.id.get()) };
-        let value = |address: eds::Address, found: Option<&Vec<u8>>, wanted: &Vec<u8>| {
+        let value = |change: &Change| {
+            let Change { address: (index, sub_index), found, wanted } = change;
+            let words = node.value_words(change.address);
             let text = |bytes: &Vec<u8>| {
-                node.entry(address).map_or_else(String::new, |entry| entry.text(bytes))
+                node.entry(change.address).map_or_else(String::new, |entry| entry.text(bytes))
             };
-            let words = node.value_words(address);
             ValuePlan {
                 name: words.split_once(' ').map_or("", |(_, name)| name).to_owned(),
                 words,
-                index: address.0,
-                sub_index: address.1,
-                found: found.map(text),
+                index: *index,
+                sub_index: *sub_index,
+                found: found.as_ref().map(text),
                 wanted: text(wanted),
             }
         };
-        let values_plan = match values {
-            Some(values) => {
-                let changes = values.changes.iter();
-                changes.map(|it| value(it.address, it.found.as_ref(), &it.wanted)).collect()
-            }
-            None => {
-                node.values.iter().map(|(address, wanted)| value(*address, None, wanted)).collect()
-            }
-        };
-        let lacks_stamp = values.is_some_and(|values| values.lacks_stamp);
         let is_missing = place.is_none();
-        // Values that cannot be read yet may differ.
-        let values_differ = match values {
-            Some(values) => !values.are_as_wanted(),
-            None => !node.values.is_empty(),
-        };
         Self {
             words: node.words(),
             name: node.name.clone(),
             lss_address: place.map(|place| address::text(&place.address)),
             is_missing,
             differs: !is_missing
-                && (stores_again || node_id.found != node_id.wanted || values_differ),
+                && (stores_again || node_id.found != node_id.wanted || !values.are_as_wanted()),
             node_id,
             // Those of a missing board are not its plan.
-            values: if is_missing { Vec::new() } else { values_plan },
-            are_values_compared: values.is_some(),
-            lacks_stamp,
+            values: values.changes.iter().filter(|_| !is_missing).map(value).collect(),
+            are_values_compared: values.are_compared,
+            lacks_stamp: values.lacks_stamp,
             stores_again,
         }
     }

@@ -37,10 +37,7 @@ impl Files {
             problems.push("there is no node in the file".into());
         }
         problems.extend(files.contradictions());
-        match problems.is_empty() {
-            true => Ok(files),
-            false => Err(Failure::Refused(problems.join("\n"))),
-        }
+        Failure::of(&problems).map(|()| files)
     }
 
     fn add(&mut self, path: &Path, problems: &mut Vec<String>) -> Result<(), String> {

@@ -50,36 +50,27 @@ pub fn open(
     given: Option<BitRate>,
     wanted: Option<BitRate>,
 ) -> Result<(), Failure> {
-    open_at_its_rate(session, given, wanted)?;
-    board::end_earlier_run(session)
-}
-
-fn open_at_its_rate(
-    session: &mut Session<'_>,
-    given: Option<BitRate>,
-    wanted: Option<BitRate>,
-) -> Result<(), Failure> {
-    let first = session.bus.fixed_rate().or(given).or(wanted).unwrap_or(DEFAULT_RATE);
-    let second = match session.bus.fixed_rate() {
-        Some(_) => None,
-        None if given.is_none() => wanted.map(|_| DEFAULT_RATE),
-        None => wanted,
+    let fixed = session.bus.fixed_rate();
+    let mut rate = fixed.or(given).or(wanted).unwrap_or(DEFAULT_RATE);
+    let other = match given {
+        None => wanted.map(|_| DEFAULT_RATE),
+        Some(_) => wanted,
     };
-    let Some(second) = second.filter(|second| *second != first) else {
-        session.bus.open(first)?;
-        return Ok(());
-    };
-    let heard = rate::heard_at(session, &[first, second])?;
-    let rate = heard.unwrap_or(first);
-    if heard.is_none() && !rate::answers_at(session, rate)?.has_answer() {
-        return Err(Failure::NoAnswer(format!(
-            "nobody answers at {rate}, and no frame is heard at {rate} and {second}. If the boards are at {second}: \
-             --bit-rate {}",
-            second.kbit_per_s()
-        )));
+    if let Some(other) = other.filter(|other| fixed.is_none() && *other != rate) {
+        match rate::heard_at(session, &[rate, other])? {
+            Some(heard) => rate = heard,
+            None if rate::answers_at(session, rate)?.has_answer() => {}
+            None => {
+                return Err(Failure::NoAnswer(format!(
+                    "nobody answers at {rate}, and no frame is heard at {rate} and {other}. If the boards are at {other}: \
+                     --bit-rate {}",
+                    other.kbit_per_s()
+                )));
+            }
+        }
     }
     session.bus.open(rate)?;
-    Ok(())
+    board::end_earlier_run(session)
 }
 
 /// The boards that have no place, by their numbers: they are missing, or something fails with them alone, in words.

@@ -70,15 +70,15 @@ impl Done {
     ) -> Result<(), Failure> {
         let (text, number) = (address::text(&address), id.get());
         let how = match fate {
+            Fate::Had => "as in the table",
             Fate::Given { boots: true } => "stored, verified by a reset",
             Fate::Given { boots: false } => {
                 "stored; it answers after a reset, but sends no boot-up message"
             }
             Fate::Taken => {
-                let why = format!(
+                self.hold(address, format!(
                     "another board has node-ID {number}, which the table gives to {text}: give it another one (lss set-id)"
-                );
-                self.hold(address, why);
+                ));
                 return Ok(());
             }
             Fate::Failed(why) => {
@@ -86,7 +86,9 @@ impl Done {
                 return Ok(());
             }
         };
-        self.new.push((id, address));
+        if let Fate::Given { .. } = fate {
+            self.new.push((id, address));
+        }
         session.progress.clear();
         Ok(writeln!(session.out, "node {number}  {text}  {how}")?)
     }

@@ -6,7 +6,7 @@ use can_bus::eds::{self, Entry, Kind};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::sheet::{Board, Sheet, address_words};
-use crate::address;
+use crate::{address, failure::Failure};
 
 const STORE: u16 = 0x1010;
 pub const STAMP: u16 = 0x1020;
@@ -44,6 +44,11 @@ impl Node {
     pub fn words(&self) -> String {
         let name = self.name.as_ref().map_or_else(String::new, |name| format!(" \"{name}\""));
         format!("node {}{name}", self.id.get())
+    }
+
+    /// What failed with this board alone, in words; a failure that ends the run stays one.
+    pub fn failed(&self, failure: Failure) -> Result<String, Failure> {
+        Ok(format!("{}: {}", self.words(), failure.of_board()?))
     }
 
     pub fn entry(&self, address: eds::Address) -> Option<&Entry> {

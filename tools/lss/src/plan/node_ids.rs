@@ -24,6 +24,8 @@ pub struct NodeIds {
 
 /// What became of a board that was to get a node-ID.
 pub enum Fate {
+    /// It has it already, and does not store it again.
+    Had,
     /// It has stored it, and sends a boot-up message or does not.
     Given { boots: bool },
     /// Another board has it.
@@ -94,10 +96,16 @@ impl NodeIds {
         stores_again: bool,
         mut tell: impl FnMut(&mut Session<'_>, usize, Address, Fate) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
-        let is_due = |place: Place, id| stores_again || place.id != Some(id);
-        let mut waiting: Vec<usize> = (0..ids.len())
-            .filter(|number| places[*number].is_some_and(|place| is_due(place, ids[*number])))
-            .collect();
+        let mut waiting = Vec::new();
+        for (number, place) in places.iter().enumerate() {
+            match place {
+                Some(place) if place.id == Some(ids[number]) && !stores_again => {
+                    tell(session, number, place.address, Fate::Had)?;
+                }
+                Some(_) => waiting.push(number),
+                None => {}
+            }
+        }
         loop {
             let has = |number: usize| places[number].and_then(|place| place.id);
             let is_possible =
@@ -118,10 +126,14 @@ impl NodeIds {
             let Some(place) = &mut places[number] else { continue };
             let address = place.address;
             session.progress.say(|| format!("node {}: node-ID {}", ids[number].get(), id_text(to)));
-            let outcome = match place.id == to {
-                true => self.store_again(session, place),
+            let selected = session.carry_out(SelectAlone::new(address));
+            let outcome = selected.and_then(|()| match place.id == to {
+                true => {
+                    let gift = Gift { address, before: to, to, rate: self.rate };
+                    board::store_again(session, gift).map(|()| true)
+                }
                 false => self.move_to(session, place, to),
-            };
+            });
             match outcome {
                 Ok(boots) if to.is_some() => tell(session, number, address, Fate::Given { boots })?,
                 Ok(_) => {}
@@ -142,21 +154,13 @@ impl NodeIds {
         Ok(())
     }
 
-    fn store_again(&self, session: &mut Session<'_>, place: &Place) -> Result<bool, Failure> {
-        let &Place { address, id, .. } = place;
-        session.carry_out(SelectAlone::new(address))?;
-        board::store_again(session, Gift { address, before: id, to: id, rate: self.rate })?;
-        Ok(true)
-    }
-
-    /// Gives a board another node-ID. One that is to have none and refuses that gets one that nobody has.
+    /// Gives the selected board another node-ID. One that is to have none and refuses that gets one that nobody has.
     fn move_to(
         &mut self,
         session: &mut Session<'_>,
         place: &mut Place,
         mut to: Option<NodeId>,
     ) -> Result<bool, Failure> {
-        session.carry_out(SelectAlone::new(place.address))?;
         let mut outcome = self.give(session, place.address, place.id, to);
         if to.is_none() && matches!(outcome, Err(Failure::Refused(_))) {
             to = (1..=127).rev().filter_map(NodeId::new).find(|id| !self.is_taken(*id));

@@ -41,32 +41,14 @@ pub fn replace(
         match (&places[..], &boards[..]) {
             (places, []) => work.done.problems.extend(places.iter().map(is_missing)),
             ([place], [board]) if is_agreed => take_over(session, work, *place, *board)?,
-            ([place], [board]) if session.person.is_there() => {
-                let question = format!(
-                    "{}. Board {} is new and of the same product. Does it take over node-ID {}? [y = yes, Enter = no: it \
-                     gets one of its own]",
-                    is_missing(place),
-                    address::text(board),
-                    place.0.get()
-                );
-                let answer = session.ask(&question)?;
-                match answer.is_some_and(|answer| person::is_yes(&answer)) {
-                    true => take_over(session, work, *place, *board)?,
-                    false => work.done.problems.push(is_missing(place)),
-                }
-            }
+            (places, _) if session.person.is_present() => choose(session, work, places, boards)?,
             ([place], [board]) => {
                 let why = format!(
-                    "{}. Board {} is new and of the same product: with --yes it takes over node-ID {}. Nothing was done \
-                     with it",
-                    is_missing(place),
-                    address::text(board),
+                    "{}: with --yes it takes over node-ID {}. Nothing was done with it",
+                    is_new(place, board),
                     place.0.get()
                 );
                 work.done.hold(*board, why);
-            }
-            (places, boards) if session.person.is_there() => {
-                choose(session, work, places, boards.to_vec())?;
             }
             (places, boards) => {
                 work.done.problems.extend(places.iter().map(is_missing));
@@ -100,27 +82,43 @@ fn choose(
     places: &[Board],
     mut boards: Vec<Address>,
 ) -> Result<(), Failure> {
+    let is_one = places.len() == 1 && boards.len() == 1;
     for place in places {
-        let numbered = boards.iter().enumerate();
-        let choices: String = numbered
-            .map(|(at, board)| format!("\n  {}  {}", at + 1, address::text(board)))
-            .collect();
-        let question = format!(
-            "{}. New and of the same product:{choices}\nWhich one takes over node-ID {}? [its number, Enter = none of them]",
-            is_missing(place),
-            place.0.get()
-        );
-        let answer = match boards.is_empty() {
-            true => None,
-            false => session.ask(&question)?,
+        let id = place.0.get();
+        let at = match &boards[..] {
+            [] => None,
+            [board] if is_one => {
+                let question = format!(
+                    "{}. Does it take over node-ID {id}? [y = yes, Enter = no: it gets one of its own]",
+                    is_new(place, board)
+                );
+                session.ask(&question)?.filter(|answer| person::is_yes(answer)).map(|_| 0)
+            }
+            boards => {
+                let numbered = (1..).zip(boards);
+                let choices: String = numbered
+                    .map(|(number, board)| format!("\n  {number}  {}", address::text(board)))
+                    .collect();
+                let question = format!(
+                    "{}. New and of the same product:{choices}\nWhich one takes over node-ID {id}? [its number, Enter = none \
+                     of them]",
+                    is_missing(place)
+                );
+                let answer = session.ask(&question)?;
+                answer.and_then(|answer| answer.parse::<usize>().ok()?.checked_sub(1))
+            }
         };
-        let number: Option<usize> = answer.and_then(|answer| answer.parse().ok());
-        match number.and_then(|number| number.checked_sub(1)).filter(|at| *at < boards.len()) {
+        match at.filter(|at| *at < boards.len()) {
             Some(at) => take_over(session, work, *place, boards.remove(at))?,
             None => work.done.problems.push(is_missing(place)),
         }
     }
     Ok(())
+}
+
+/// The words for a place, and the only board that may take it over.
+fn is_new(place: &Board, board: &Address) -> String {
+    format!("{}. Board {} is new and of the same product", is_missing(place), address::text(board))
 }
 
 fn is_missing((id, address): &Board) -> String {

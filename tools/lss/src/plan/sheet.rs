@@ -119,13 +119,8 @@ impl Sheet {
         let mut values = BTreeMap::new();
         for entry in self.eds.entries().filter(|entry| self.configures(entry)) {
             let Some(text) = &entry.value else { continue };
-            match entry.parse(text, node).ok_or_else(|| self.no_value(entry, text)) {
-                Ok(bytes) => match self.beyond(entry, &bytes, node) {
-                    Some(why) => problems.push(why),
-                    None => {
-                        values.insert(entry.address, bytes);
-                    }
-                },
+            match self.bytes(entry, text, node) {
+                Ok(bytes) => _ = values.insert(entry.address, bytes),
                 Err(why) => problems.push(why),
             }
         }
@@ -157,10 +152,18 @@ impl Sheet {
             (Toml::Boolean(is_set), Kind::Unsigned) => u8::from(*is_set).to_string(),
             _ => return Err(self.no_value(entry, &value.to_string())),
         };
-        let bytes = entry.parse(&text, node).ok_or_else(|| self.no_value(entry, &text))?;
-        match self.beyond(entry, &bytes, node) {
-            Some(why) => Err(why),
-            None => Ok((entry.address, bytes)),
+        Ok((entry.address, self.bytes(entry, &text, node)?))
+    }
+
+    /// The bytes of a value, if it is one and within its limits.
+    fn bytes(&self, entry: &Entry, text: &str, node: u8) -> Result<Vec<u8>, String> {
+        let bytes = entry.parse(text, node).ok_or_else(|| self.no_value(entry, text))?;
+        match entry.beyond(&bytes, node) {
+            Some(limits) => {
+                let (words, text) = (self.words(entry), entry.text(&bytes));
+                Err(format!("{words}: {text} is not within {limits}"))
+            }
+            None => Ok(bytes),
         }
     }
 
@@ -194,11 +197,6 @@ impl Sheet {
 
     fn no_value(&self, entry: &Entry, text: &str) -> String {
         format!("{}: {text} is no {}", self.words(entry), entry.type_name())
-    }
-
-    fn beyond(&self, entry: &Entry, bytes: &[u8], node: u8) -> Option<String> {
-        let limits = entry.beyond(bytes, node)?;
-        Some(format!("{}: {} is not within {limits}", self.words(entry), entry.text(bytes)))
     }
 
     /// A PDO is switched off while its mapping, inhibit time or SYNC start value change, so its COB-ID must be known:

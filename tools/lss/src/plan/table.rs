@@ -142,9 +142,7 @@ impl Draft {
         while let Ok(to) = fs::read_link(&file) {
             file = file.parent().unwrap_or(Path::new("")).join(to);
         }
-        let mut name = file.file_name().unwrap_or_default().to_owned();
-        name.push(".new");
-        let beside = file.with_file_name(name);
+        let beside = beside(&file, ".new");
         Self { file, beside, id, address }
     }
 
@@ -162,6 +160,13 @@ impl Drop for Draft {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.beside);
     }
+}
+
+/// A file beside another one, with this behind its name.
+pub fn beside(path: &Path, end: &str) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(end);
+    path.with_file_name(name)
 }
 
 /// The text of the file; none if it does not exist.

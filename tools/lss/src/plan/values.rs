@@ -42,12 +42,24 @@ impl Change {
 /// The values of a node.
 #[derive(Clone, Debug, Default)]
 pub struct Values {
+    /// They are those that differ, and not all, since they cannot be read yet.
+    pub are_compared: bool,
     pub changes: Vec<Change>,
     /// The stamp is another one, or there is none where one must be.
     pub lacks_stamp: bool,
 }
 
 impl Values {
+    /// Those of a node that cannot be asked.
+    pub fn not_compared(node: &Node) -> Self {
+        let change = |(address, wanted): (&eds::Address, &Vec<u8>)| Change {
+            address: *address,
+            found: None,
+            wanted: wanted.clone(),
+        };
+        Self { changes: node.values.iter().map(change).collect(), ..Self::default() }
+    }
+
     pub fn are_as_wanted(&self) -> bool {
         self.changes.is_empty() && !self.lacks_stamp
     }
@@ -61,7 +73,7 @@ pub fn compare(
     node: &Node,
     trusts_stamp: bool,
 ) -> Result<Values, Failure> {
-    let mut values = Values::default();
+    let mut values = Values { are_compared: true, ..Values::default() };
     if let Some(stamp) = node.stamp {
         for (sub_index, number) in (1..).zip(stamp.numbers) {
             let found = sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)?

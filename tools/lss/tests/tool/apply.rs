@@ -174,6 +174,32 @@ fn boards_exchange_their_node_ids_and_never_share_one() {
 }
 
 #[test]
+fn assign_exchanges_node_ids_as_apply_does() {
+    for command in ["assign --table", "apply"] {
+        let wire = Wire::new(RATE, &[5, 6, 9]);
+        let file = file("exchange-by", &(node(6, 0) + &node(5, 1) + &node(9, 2)));
+        let outcome = wire.lss(&format!("{command} {}", file.display()));
+        assert_eq!(outcome.code, 0, "{command}: {}", outcome.error);
+        assert_eq!(wire.ids(), [6, 5, 9].map(|id| (Some(id), Some(id))), "{command}");
+    }
+}
+
+#[test]
+fn the_node_id_of_a_stopped_node_is_given_to_nobody() {
+    for command in ["assign --table", "apply"] {
+        let wire = Wire::with_heartbeat(RATE, &[1, 0xFF], 100);
+        // It does not answer to SDO.
+        let _ = wire.world().boards[0].rig.nmt("02 01");
+        let file = file("heard", &node(1, 1));
+        let outcome = wire.lss(&format!("{command} {}", file.display()));
+        assert_eq!(outcome.code, 1, "{command}");
+        let words = "another board has node-ID 1";
+        assert!(outcome.error.contains(words), "{command}: {}", outcome.error);
+        assert_eq!(wire.ids(), [(Some(1), Some(1)), (None, None)], "{command}");
+    }
+}
+
+#[test]
 fn boards_that_share_a_node_id_get_their_own() {
     let wire = Wire::new(RATE, &[5, 5, 5]);
     wire.world().may_collide = true;
