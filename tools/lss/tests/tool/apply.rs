@@ -200,6 +200,25 @@ fn the_node_id_of_a_stopped_node_is_given_to_nobody() {
 }
 
 #[test]
+fn a_node_id_that_a_board_leaves_stays_that_of_another_one() {
+    for command in ["assign --table", "apply"] {
+        let wire = Wire::new(RATE, &[5, 5, 0xFF]);
+        wire.world().may_collide = true;
+        // Only the other one answers to SDO.
+        let _ = wire.world().boards[0].rig.nmt("02 05");
+        let file = file("leaves", &(node(6, 0) + &node(5, 2)));
+        let outcome = wire.lss(&format!("{command} {}", file.display()));
+        assert_eq!(outcome.code, 1, "{command}");
+        let words = "another board has node-ID 5";
+        assert!(outcome.error.contains(words), "{command}: {}", outcome.error);
+        wire.world().may_collide = false;
+        wire.power_cycle();
+        let ids = [Some(6), Some(5), None];
+        assert_eq!(wire.ids(), ids.map(|id| (id, id)), "{command}");
+    }
+}
+
+#[test]
 fn boards_that_share_a_node_id_get_their_own() {
     let wire = Wire::new(RATE, &[5, 5, 5]);
     wire.world().may_collide = true;
