@@ -185,6 +185,17 @@ fn a_scan_after_a_slave_of_the_same_product_takes_a_quarter_of_the_requests() {
     let next = Fastscan::new().after_slave(address(0x0001_0000));
     assert_eq!(bus.carry_out(&mut master, next), Ok(Some(address(0x8000_0000))));
     assert_eq!(bus.requests - before, 1 + 1 + 3 + 33 + 1);
+    // A bit that the last one has set, behind the same bits, is not asked for.
+    let mut bus = self::bus([address(0xFFFF_0001)]);
+    let next = Fastscan::new().after_slave(address(0xFFFF_0000));
+    assert_eq!(bus.carry_out(&mut master, next), Ok(Some(address(0xFFFF_0001))));
+    assert_eq!(bus.requests, 1 + 1 + 3 + 17 + 1);
+    // That holds for serial numbers of the same product only.
+    let other = Address { vendor_id: !ADDRESS.vendor_id, ..address(0xFFFF_0001) };
+    let mut bus = self::bus([other]);
+    let next = Fastscan::new().after_slave(address(0xFFFF_0000));
+    assert_eq!(bus.carry_out(&mut master, next), Ok(Some(other)));
+    assert_eq!(bus.requests, 1 + 1 + 34 + 2 + 34);
 }
 
 #[test]
@@ -216,9 +227,11 @@ fn the_margin_shrinks_to_what_the_slaves_need() {
     let mut master = Master::new(Timing::default());
     let found = commission_in_turn(&mut bus, &mut master);
     let ms = bus.now() / 1000;
-    println!("{ms} ms, the slowest answer {:?} us", master.slowest_answer());
+    let slowest = master.slowest_answer().expect("they have answered");
+    println!("{ms} ms, the slowest answer {slowest} us");
     assert_commissioned(&mut bus, &found);
     assert!(ms < 5_000, "with a margin of 10 ms it is a minute");
+    assert!((200..1_000).contains(&slowest), "two frames, behind which some wait");
 }
 
 #[test]

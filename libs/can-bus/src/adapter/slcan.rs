@@ -383,14 +383,20 @@ fn parse_frame(line: &[u8]) -> Option<Line> {
 
 #[cfg(test)]
 mod tests {
+    use std::{cell::RefCell, rc::Rc};
+
     use super::*;
 
     /// An adapter that answers its commands with these lines, one for each.
-    struct Script(VecDeque<&'static [u8]>, Vec<u8>);
+    struct Script {
+        answers: VecDeque<&'static [u8]>,
+        unread: Vec<u8>,
+        commands: Rc<RefCell<String>>,
+    }
 
     impl Read for Script {
         fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-            let answer = std::mem::take(&mut self.1);
+            let answer = std::mem::take(&mut self.unread);
             bytes[..answer.len()].copy_from_slice(&answer);
             Ok(answer.len())
         }
@@ -398,7 +404,8 @@ mod tests {
 
     impl Write for Script {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.1.extend(self.0.pop_front().expect("it is asked no more"));
+            self.unread.extend(self.answers.pop_front().expect("it is asked no more"));
+            *self.commands.borrow_mut() += &String::from_utf8_lossy(bytes).replace('\r', " ");
             Ok(bytes.len())
         }
 
@@ -413,15 +420,46 @@ mod tests {
         }
     }
 
-    /// The adapter that answers so.
-    fn adapter(answers: &[&'static [u8]]) -> Slcan {
-        let script = Script(answers.iter().copied().collect(), Vec::new());
-        Slcan::new(Place::Tcp("a test".into()), Some(Box::new(script)))
+    /// The adapter that answers so, and the commands that it gets.
+    fn adapter(answers: &[&'static [u8]]) -> (Slcan, Rc<RefCell<String>>) {
+        let commands = Rc::<RefCell<String>>::default();
+        let answers = answers.iter().copied().collect();
+        let script = Script { answers, unread: Vec::new(), commands: Rc::clone(&commands) };
+        (Slcan::new(Place::Tcp("a test".into()), Some(Box::new(script))), commands)
+    }
+
+    #[test]
+    fn an_adapter_is_opened_at_a_rate_and_sends_each_kind_of_frame() {
+        // It was closed before, which ends the wait for the first version.
+        const VERSION: &[u8] = b"V1013\r";
+        let opened = [b"\x07", VERSION, VERSION, b"\r", b"\r", b"F00\r"];
+        let answers = [&opened[..], &[b"z\r", b"z\r", b"Z\r"]].concat();
+        let (mut adapter, commands) = adapter(&answers);
+        adapter.version = Some("V1013".into());
+        adapter.open(BitRate::Kbit500, Mode::ListenOnly).expect("it is opened");
+        let frame = Frame::new(0x7E5, &[0x5E, 5]).expect("a frame");
+        adapter.send(&frame).expect("it is sent");
+        assert_eq!(adapter.send_remote(0x701, 1).ok(), Some(true));
+        assert_eq!(adapter.send_extended(0x7E5, &[4]).ok(), Some(true));
+        assert_eq!(*commands.borrow(), "C V V S6 L F t7E525E05 r7011 T000007E5104 ");
+    }
+
+    #[test]
+    fn what_an_adapter_refuses_is_named() {
+        for (refused, what) in [(2, "500 kbit/s"), (3, "to open its channel")] {
+            let mut answers = [b"\r", b"V1013\r".as_slice(), b"\r", b"\r"];
+            answers[refused] = b"\x07";
+            let (mut adapter, commands) = adapter(&answers);
+            adapter.version = Some("V1013".into());
+            let error = adapter.open(BitRate::Kbit500, Mode::Normal).expect_err("a refusal");
+            assert!(error.to_string().ends_with(&format!(" refuses {what}")), "{error}");
+            assert!("C V S6 O ".starts_with(&*commands.borrow()));
+        }
     }
 
     #[test]
     fn time_stamps_go_on_over_their_wraps() {
-        let mut adapter = adapter(&[]);
+        let (mut adapter, _) = adapter(&[]);
         let begin = Instant::now();
         // The stamp, the time passed here and the time that is to be found, in ms.
         let cases = [
@@ -444,10 +482,10 @@ mod tests {
     fn an_adapter_that_reported_its_status_once_is_asked_again() {
         let passive = Some(Status { is_error_passive: true, has_errors: false });
         // A refusal, as of a frame that found the queue full.
-        let mut reports = adapter(&[b"F00\r", b"\x07", b"F20\r"]);
+        let (mut reports, _) = adapter(&[b"F00\r", b"\x07", b"F20\r"]);
         let found = [(); 3].map(|()| reports.status().expect("it is there"));
         assert_eq!(found, [Some(Status::default()), None, passive]);
-        let mut reports_never = adapter(&[b"\x07"]);
+        let (mut reports_never, _) = adapter(&[b"\x07"]);
         let found = [(); 2].map(|()| reports_never.status().expect("it is there"));
         assert_eq!(found, [None, None]);
     }
