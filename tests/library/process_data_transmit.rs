@@ -88,7 +88,7 @@ fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
     board.pass_ms(19);
     let end = Instant::from_micros(board.now() as u32).plus_micros(1_000);
     assert_eq!(board.node.poll(end), Some(Action::ResumeTransmitting));
-    board.node.handle_bus(BusEvent::Acknowledged, end);
+    board.node.handle_bus_event(BusEvent::Acknowledged, end);
     let tpdo = Frame::new(0x1C0, &[0; 3]).expect("a frame");
     assert_eq!(board.node.poll(end), Some(Action::Transmit(tpdo)));
 }

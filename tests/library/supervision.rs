@@ -49,7 +49,7 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
     let now = Instant::from_micros(board.now() as u32);
     assert!(board.node.handle_frame(&request("5E"), now).is_some());
     assert!(!board.node.is_due(now));
-    board.node.handle_bus(Acknowledged, now);
+    board.node.handle_bus_event(Acknowledged, now);
     assert!(!board.node.is_due(now));
     assert_eq!(board.us_to_deadline(), None);
 }

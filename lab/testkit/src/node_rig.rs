@@ -183,7 +183,7 @@ impl<A: Application + Clone> NodeRig<A> {
 
     /// Reports an event of the controller, without polling the node.
     pub fn report(&mut self, event: BusEvent) {
-        self.node.handle_bus(event, self.instant());
+        self.node.handle_bus_event(event, self.instant());
     }
 
     /// Reports an event of the controller; returns the frames that the node sends at once.
@@ -358,7 +358,7 @@ impl<A: Application + Clone> NodeRig<A> {
             Action::Transmit(_) => {
                 assert!(self.may_transmit, "nothing is sent in a silent period");
                 if self.is_acknowledged {
-                    self.node.handle_bus(BusEvent::Acknowledged, self.instant());
+                    self.node.handle_bus_event(BusEvent::Acknowledged, self.instant());
                 }
             }
             Action::SetNodeId(id) => {

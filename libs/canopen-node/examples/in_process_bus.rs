@@ -40,9 +40,9 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
             match action {
                 Action::Transmit(frame) => {
                     transmitted.send(frame).unwrap();
-                    node.handle_bus(BusEvent::Acknowledged, now());
+                    node.handle_bus_event(BusEvent::Acknowledged, now());
                     if node.wants_to_send_more() {
-                        node.handle_bus(BusEvent::NonePending, now());
+                        node.handle_bus_event(BusEvent::NonePending, now());
                     }
                 }
                 Action::Store(_settings) => node.handle_stored(Ok(())),

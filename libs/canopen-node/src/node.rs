@@ -42,7 +42,7 @@ use verification::Verification;
 /// These calls drive it:
 /// - [`restore`](Self::restore) with each stored parameter, before all others, if it has an application;
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
-/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's other
+/// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's other
 ///   events;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
 /// - [`handle_fault`](Self::handle_fault) with a fault of the board;
@@ -330,7 +330,7 @@ impl<A: Application> Node<A> {
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
-    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+    pub fn handle_bus_event(&mut self, event: BusEvent, now: Instant) {
         if self.slave.bit_rate().is_settled() {
             if event != BusEvent::Acknowledged || self.awaits_acknowledge() {
                 self.handle_event(event, now);
@@ -344,7 +344,7 @@ impl<A: Application> Node<A> {
             | BusEvent::NonePending
             | BusEvent::Overrun
             | BusEvent::BusOffRecovered => {}
-            _ => self.slave.handle_bus(event, now),
+            _ => self.slave.handle_bus_event(event, now),
         }
     }
 

@@ -167,10 +167,10 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
                         self.act(action);
                     }
                 }
-                Received::Other => self.node.handle_bus(BusEvent::Received, now),
+                Received::Other => self.node.handle_bus_event(BusEvent::Received, now),
                 Received::Overrun => {
                     log!(warn, "CAN: overrun, a received frame was lost");
-                    self.node.handle_bus(BusEvent::Overrun, now);
+                    self.node.handle_bus_event(BusEvent::Overrun, now);
                 }
             }
             self.act_until_nothing_is_due();
@@ -186,7 +186,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         // The others are less urgent, and wait until it is sent.
         self.queue.pop_if(|frame| self.bus.can.send(frame));
         if is_sent {
-            self.node.handle_bus(BusEvent::Acknowledged, now);
+            self.node.handle_bus_event(BusEvent::Acknowledged, now);
         }
         self.finish();
     }
@@ -196,12 +196,12 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         let now = self.event_time();
         let (transmit, receive) = self.bus.can.error_counters();
         let counters = BusEvent::ErrorCounters { transmit, receive };
-        self.node.handle_bus(counters, now);
+        self.node.handle_bus_event(counters, now);
         if let Some(error) = self.bus.can.take_error() {
             self.bus.sample(now);
             if let Some(event) = error.event() {
                 self.bus.has_heard = true;
-                self.node.handle_bus(event, now);
+                self.node.handle_bus_event(event, now);
             }
         }
         if !self.bus.is_listening() {
@@ -227,11 +227,11 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
                     error,
                     "CAN: bus-off, too many frames failed; check bit rate, wiring and termination"
                 );
-                self.node.handle_bus(BusEvent::BusOff, self.system.now());
+                self.node.handle_bus_event(BusEvent::BusOff, self.system.now());
             }
             (true, false) => {
                 log!(info, "CAN: recovered from bus-off");
-                self.node.handle_bus(BusEvent::BusOffRecovered, self.system.now());
+                self.node.handle_bus_event(BusEvent::BusOffRecovered, self.system.now());
             }
             _ => {}
         }
@@ -260,7 +260,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
             let event =
                 sample.and_then(|sample| self.bus.sampler.take(sample, self.bus.bit_rate, now));
             if let Some(event) = event {
-                self.node.handle_bus(event, now);
+                self.node.handle_bus_event(event, now);
             }
         }
         let is_step = self.step_at.has_come(now);
@@ -325,7 +325,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     fn finish(&mut self) {
         // The last frame was sent, or dropped with others.
         if self.node.wants_to_send_more() && self.queue.is_empty() && self.bus.can.is_idle() {
-            self.node.handle_bus(BusEvent::NonePending, self.system.now());
+            self.node.handle_bus_event(BusEvent::NonePending, self.system.now());
         }
         self.act_until_nothing_is_due();
         self.system.set_alarm(self.alarm_at());

@@ -87,7 +87,7 @@ impl Node {
     fn send(&mut self, frame: Frame, now: Instant) {
         println!("  < {frame:?}");
         self.slave.note_sent(now);
-        self.slave.handle_bus(BusEvent::Acknowledged, now);
+        self.slave.handle_bus_event(BusEvent::Acknowledged, now);
     }
 }
 

@@ -12,7 +12,7 @@ use crate::{
 ///
 /// These calls drive it:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the controller receives;
-/// - [`handle_bus`](Self::handle_bus) when a frame of the node was acknowledged, and with the controller's errors;
+/// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's errors;
 /// - [`note_sent`](Self::note_sent) with every frame that the node sends apart from LSS;
 /// - [`reset_communication`](Self::reset_communication) when the node performs that NMT command;
 /// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), until it returns
@@ -120,7 +120,7 @@ impl Slave {
     }
 
     /// Handles an acknowledge or another event of the controller. A repeated event does no harm.
-    pub fn handle_bus(&mut self, event: BusEvent, now: Instant) {
+    pub fn handle_bus_event(&mut self, event: BusEvent, now: Instant) {
         if !self.bit_rate.is_settled() {
             self.bit_rate.handle_bus(event, now);
         }

@@ -240,7 +240,7 @@ impl Board {
         if event == BusEvent::Acknowledged {
             running.errors = 0;
         }
-        running.node.handle_bus(event, running.now);
+        running.node.handle_bus_event(event, running.now);
         self.settle();
     }
 

@@ -147,7 +147,7 @@ fn drive<A: Application>(node: &mut Node<A>) {
     }
     black_box(&mut *node).handle_stored(any(Err(StoreError::MediumAccess)));
     black_box(&mut *node).handle_fault(any(Fault::Overrun));
-    black_box(&mut *node).handle_bus(any(BusEvent::Error), any_instant());
+    black_box(&mut *node).handle_bus_event(any(BusEvent::Error), any_instant());
     black_box(black_box(&mut *node).poll(any_instant()));
     black_box(&mut *node).report(any(0), any(0), any([0; 5]));
     black_box(&mut *node).end_report(any(0));

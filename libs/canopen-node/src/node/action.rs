@@ -30,7 +30,7 @@ pub enum Action {
     ResumeTransmitting,
     /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
     /// acknowledge. Receive all frames, and report the first frame and the first error to
-    /// [`handle_bus`](crate::Node::handle_bus).
+    /// [`handle_bus_event`](crate::Node::handle_bus_event).
     Listen(BitRate),
     /// Make these settings persistent, then call [`handle_stored`](crate::Node::handle_stored). A node with parameters
     /// also has [`write_parameters`](crate::Node::write_parameters).

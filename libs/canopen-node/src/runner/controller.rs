@@ -121,7 +121,7 @@ impl BusError {
         }
     }
 
-    /// The event for [`Node::handle_bus`](crate::Node::handle_bus), if the error says something about the bit rate.
+    /// The event for [`Node::handle_bus_event`](crate::Node::handle_bus_event), if the error says something about the bit rate.
     pub const fn event(self) -> Option<BusEvent> {
         match self {
             Self::Stuff | Self::BitRecessive | Self::Crc => Some(BusEvent::Error),

@@ -72,12 +72,12 @@ fn act(node: &mut Node, action: Action) {
         Action::Transmit(frame) => {
             transmit(frame.cob_id(), frame.data().len(), frame.padded_data());
             // The firmware reports it in the transmit interrupt.
-            node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));
+            node.handle_bus_event(BusEvent::Acknowledged, Instant::from_micros(0));
         }
         Action::SetNodeId(_) | Action::SetReceives => RECEIVES.fill(node.receives()),
         Action::Store(_) => node.handle_stored(Ok(())),
         Action::SetBitRate(_) | Action::ResumeTransmitting => {
-            node.handle_bus(BusEvent::Acknowledged, Instant::from_micros(0));
+            node.handle_bus_event(BusEvent::Acknowledged, Instant::from_micros(0));
         }
         _ => {}
     }
