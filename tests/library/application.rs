@@ -80,8 +80,8 @@ objects! {
 impl Application for Objects {
     fn accept(&mut self, value: &ObjectValue) -> Result<(), Abort> {
         match value {
-            ObjectValue::u16(0xDEAD) => Err(Abort::DeviceState),
-            ObjectValue::command(_) if !self.boolean => Err(Abort::Hardware),
+            ObjectValue::U16(0xDEAD) => Err(Abort::DeviceState),
+            ObjectValue::Command(_) if !self.boolean => Err(Abort::Hardware),
             _ => Ok(()),
         }
     }

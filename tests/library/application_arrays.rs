@@ -46,7 +46,7 @@ impl Application for Scale {
 
     fn accept(&mut self, value: &ScaleValue) -> Result<(), Abort> {
         match *value {
-            ScaleValue::gains((2, gain)) if gain != 1.0 => Err(Abort::DeviceState),
+            ScaleValue::Gains((2, gain)) if gain != 1.0 => Err(Abort::DeviceState),
             _ => Ok(()),
         }
     }

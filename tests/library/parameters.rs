@@ -40,7 +40,7 @@ objects! {
 impl Application for Pump {
     fn accept(&mut self, value: &PumpValue) -> Result<(), Abort> {
         match value {
-            PumpValue::highest(600) => Err(Abort::DeviceState),
+            PumpValue::Highest(600) => Err(Abort::DeviceState),
             _ => Ok(()),
         }
     }

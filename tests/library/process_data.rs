@@ -68,7 +68,7 @@ impl Application for Machine {
 
     fn accept(&mut self, value: &MachineValue) -> Result<(), Abort> {
         match value {
-            MachineValue::lamps(0xEE) => Err(Abort::InvalidValue),
+            MachineValue::Lamps(0xEE) => Err(Abort::InvalidValue),
             _ => Ok(()),
         }
     }

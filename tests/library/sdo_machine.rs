@@ -82,7 +82,7 @@ impl Dictionary for Machine {
 impl Application for Machine {
     fn accept(&mut self, value: &MachineValue) -> Result<(), Abort> {
         match value {
-            MachineValue::u16(0xDEAD) | MachineValue::u64(0xDEAD) => Err(Abort::DeviceState),
+            MachineValue::U16(0xDEAD) | MachineValue::U64(0xDEAD) => Err(Abort::DeviceState),
             _ => Ok(()),
         }
     }

@@ -62,9 +62,9 @@ impl canopen_node::Application for Application {
 
     fn accept(&mut self, value: &Value) -> Result<(), Abort> {
         match value {
-            Value::outputs(4..) => return Err(Abort::InvalidValue), // There are two LEDs.
+            Value::Outputs(4..) => return Err(Abort::InvalidValue), // There are two LEDs.
             // A master measures the way of a value from an RPDO to a TPDO.
-            Value::echo_sent(value) => self.echo_returned = *value,
+            Value::EchoSent(value) => self.echo_returned = *value,
             _ => {}
         }
         Ok(())

@@ -21,7 +21,7 @@
 //! impl Application for Dimmer {
 //!     fn accept(&mut self, value: &DimmerValue) -> Result<(), Abort> {
 //!         match value {
-//!             DimmerValue::brightness(1..=4) => Err(Abort::InvalidValue), // It would flicker.
+//!             DimmerValue::Brightness(1..=4) => Err(Abort::InvalidValue), // It would flicker.
 //!             _ => Ok(()),
 //!         }
 //!     }

@@ -70,3 +70,5 @@ pub use lss_slave::{
 };
 pub use node::{Action, Node, Receives};
 pub use numbers::{Count, Numbers};
+#[doc(hidden)]
+pub use pastey;

@@ -181,7 +181,7 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// | `rw, mappable` | yes | yes |
 ///
 /// An array has a value for each of its sub-indices, with the same access, limits and options. In the EDS their names
-/// are numbered from 1; `Value` has a place in the array beside each of them:
+/// are numbered from 1. A value has the name of its field as types are written, with the place in the array:
 ///
 /// ```
 /// use canopen_node::{Application, objects, sdo::Abort};
@@ -200,7 +200,7 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// impl Application for Scale {
 ///     fn accept(&mut self, value: &ScaleValue) -> Result<(), Abort> {
 ///         match *value {
-///             ScaleValue::gains((0, gain)) if gain != 1.0 => Err(Abort::InvalidValue), // Cell 1 is the reference.
+///             ScaleValue::Gains((0, gain)) if gain != 1.0 => Err(Abort::InvalidValue), // Cell 1 is the reference.
 ///             _ => Ok(()),
 ///         }
 ///     }
@@ -253,14 +253,15 @@ macro_rules! objects {
             )+)*
         }
 
-        /// A value for one of the objects.
-        #[allow(non_camel_case_types, reason = "the variants have the names of the fields")]
-        #[derive(Clone, Copy, Debug)]
-        $visibility enum $value {
-            $($(
-                #[doc = $text]
-                $field(<$type as $crate::application::FieldType>::Written),
-            )+)*
+        $crate::pastey::paste! {
+            /// A value for one of the objects.
+            #[derive(Clone, Copy, Debug)]
+            $visibility enum $value {
+                $($(
+                    #[doc = $text]
+                    [<$field:camel>](<$type as $crate::application::FieldType>::Written),
+                )+)*
+            }
         }
 
         impl $name {
@@ -367,14 +368,15 @@ macro_rules! objects {
                     $($(if let Some(at) = position::<$type>(Field::$field, field) {
                         let value = <application::ValueOf<$type> as application::ValueType>::parse(bytes)?;
                         $(application::check_limits(&value, &($limits))?;)?
-                        return Ok($value::$field(<$type as application::FieldType>::written(at, value)));
+                        let written = <$type as application::FieldType>::written(at, value);
+                        return Ok($crate::pastey::paste!($value::[<$field:camel>])(written));
                     })+)*
                     Err(sdo::Abort::NoObject)
                 }
 
                 fn set(&mut self, value: $value) {
                     match value {
-                        $($($value::$field(value) => {
+                        $($($crate::pastey::paste!($value::[<$field:camel>](value)) => {
                             <$type as application::FieldType>::set(&mut self.$field, value);
                         })+)*
                     }
