@@ -23,6 +23,8 @@ pub const DEVICE: Device = Device::new(
     BIT_RATES,
 )
 .with_defaults(DEFAULTS)
+// Milliseconds between heartbeats, object 1017h, until a master stores another time; 0 disables the heartbeat.
+.with_heartbeat_ms(1000)
 // Manufacturer device name, object 1008h.
 .with_name("LSS slave")
 // Manufacturer hardware and software version, objects 1009h and 100Ah.
@@ -36,9 +38,7 @@ pub const DEVICE: Device = Device::new(
 /// The settings of a new device, until an LSS master stores others.
 pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit125))
     // `None`: not configured, the device waits for an LSS master. Otherwise `NodeId::new(5)`, for example.
-    .with_node_id(None)
-    // Milliseconds between heartbeats; 0 disables the heartbeat.
-    .with_heartbeat_ms(1000);
+    .with_node_id(None);
 
 /// The bit rates that LSS may select. Without `with_automatic()`, index 9 (automatic detection) is rejected.
 pub const BIT_RATES: BitRates = BitRates::possible(APB1_HZ).with_automatic();

@@ -7,12 +7,12 @@ use crate::rig::*;
 /// The line to the transceiver, as in pins.rs.
 const TRANSMIT: Pin = Pin('B', 9);
 
-fn board(settings: Settings, can_variant: CanVariant) -> Board {
+fn board(settings: Stored, can_variant: CanVariant) -> Board {
     board_of(board::Settings { can_variant, ..Default::default() }, settings)
 }
 
-fn listener() -> Settings {
-    settings(0x40, BitRate::Kbit125).with_bit_rate(BitRateSetting::Automatic)
+fn listener() -> Stored {
+    settings(0x40, BitRateSetting::Automatic)
 }
 
 /// Node 40 at 500 kbit/s with such a controller.

@@ -19,7 +19,7 @@ const STARTS: usize = 150;
 type ExampleNode = NodeRig<io::Application>;
 
 fn device() -> Device {
-    node_rig::device(node_rig::ADDRESS).with_defaults(settings(0xFF, BitRate::Kbit125))
+    node_rig::device(node_rig::ADDRESS).with_defaults(*settings(0xFF, BitRate::Kbit125))
 }
 
 fn example_node(content: Vec<u8>) -> ExampleNode {

@@ -36,7 +36,8 @@ impl Pair {
         let device = node_rig::device(node_rig::ADDRESS)
             .with_name("LSS slave")
             .with_versions("1.0", "0.1.0")
-            .with_defaults(settings(0xFF, BitRate::Kbit1000).with_heartbeat_ms(1000));
+            .with_defaults(*settings(0xFF, BitRate::Kbit1000))
+            .with_heartbeat_ms(1000);
         let content = flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]);
         let flash = BoardFlash::with_content(content, 0);
         let mut model = NodeRig::with_application(device, flash, 0, io::Application::new());

@@ -6,8 +6,8 @@ use crate::rig::*;
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// The place of the next record, behind three of the defaults and the settings of `about_to_store`.
-const NEXT_RECORD: u32 = SETTINGS_OFFSET + 4 * PLACE as u32;
+/// The place of the next record, behind three of the defaults, and a parameter and the settings of `about_to_store`.
+const NEXT_RECORD: u32 = SETTINGS_OFFSET + 5 * PLACE as u32;
 /// The places of a record's node-ID and commit word, behind the word that begins them.
 const NODE_ID: u32 = 4 + 5;
 const COMMIT_WORD: u32 = 4 + 28;
@@ -160,8 +160,8 @@ fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
 fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
     let mut content = flash_with(&[settings(0x40, BitRate::Kbit1000)]);
     // A store that was cut off after its first word.
-    content[4 * PLACE..][..8].copy_from_slice(&[0, 0, 0, 0, 0x9D, 1, 0, 0]);
-    for stuck in [5 * PLACE as u32 + 4, 5 * PLACE as u32 + 4 + 28] {
+    content[5 * PLACE..][..8].copy_from_slice(&[0, 0, 0, 0, 0x9E, 1, 0, 0]);
+    for stuck in [6 * PLACE as u32 + 4, 6 * PLACE as u32 + 4 + 28] {
         let board = board_with_flash(&content);
         // The next two places.
         for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + PLACE as u32] {

@@ -103,7 +103,7 @@ fn after_a_bus_of_error_frames_only_the_board_answers_again() {
 
 #[test]
 fn noise_without_end_does_not_end_the_search_for_the_bit_rate() {
-    let automatic = settings(0x40, BitRate::Kbit1000).with_bit_rate(BitRateSetting::Automatic);
+    let automatic = settings(0x40, BitRateSetting::Automatic);
     let mut rig = ImageRig::new(BitRate::Kbit500, [board_with(0, automatic)]);
     let since = rig.network.now();
     disturb(&mut rig);

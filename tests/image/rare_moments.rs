@@ -8,7 +8,7 @@ const NODE_ID: u8 = 0x40;
 
 #[test]
 fn a_listener_finds_the_rate_by_remote_frames_or_29_bit_frames() {
-    let stored = settings(NODE_ID, RATE).with_bit_rate(BitRateSetting::Automatic);
+    let stored = settings(NODE_ID, BitRateSetting::Automatic);
     for id in [Id::Standard(0x181), Id::Extended(0x181)] {
         let mut rig = ImageRig::new(RATE, [board_with(0, stored)]);
         rig.collect(Time::from_ms(100));

@@ -54,8 +54,7 @@ impl Traffic {
 
 /// A board that detects the bit rate, without power, on a bus at `bit_rate`.
 fn rig(bit_rate: BitRate, node_id: u8) -> ImageRig {
-    let automatic = BitRateSetting::Automatic;
-    let settings = settings(node_id, bit_rate).with_bit_rate(automatic);
+    let settings = settings(node_id, BitRateSetting::Automatic);
     let mut rig = ImageRig::new(bit_rate, [board_with(0, settings)]);
     rig.network.power_off(0);
     rig

@@ -1,6 +1,6 @@
 //! Boards with the image under test, which the root of the tests names, and the names that all tests use.
 
-pub use canopen_node::{BitRate, BitRateSetting, Settings};
+pub use canopen_node::{BitRate, BitRateSetting};
 pub use emulator::{
     Time,
     board::{self, Board},
@@ -15,6 +15,7 @@ pub use testkit::{
     image_rig::*,
     random::Random,
     sdo::{self, Client},
+    settings::Stored,
     wire::*,
 };
 
@@ -36,7 +37,7 @@ pub fn blank_board(number: u8) -> Board {
 }
 
 /// A board with stored `settings`.
-pub fn board_with(number: u8, settings: Settings) -> Board {
+pub fn board_with(number: u8, settings: Stored) -> Board {
     image_rig::board_with(FIRMWARE, number, settings)
 }
 
@@ -48,7 +49,7 @@ pub fn board_with_flash(content: &[u8]) -> Board {
 }
 
 /// A board of a variant with stored `settings`.
-pub fn board_of(variant: board::Settings, settings: Settings) -> Board {
+pub fn board_of(variant: board::Settings, settings: Stored) -> Board {
     let mut board = Board::new(part(), image(), variant);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
@@ -65,12 +66,12 @@ pub fn blank_rig() -> ImageRig {
 }
 
 /// A single board with these settings, and the master at its bit rate.
-pub fn rig_with(settings: Settings) -> ImageRig {
+pub fn rig_with(settings: Stored) -> ImageRig {
     rig_of(board::Settings::default(), settings)
 }
 
 /// The same on a board of a variant.
-pub fn rig_of(variant: board::Settings, settings: Settings) -> ImageRig {
+pub fn rig_of(variant: board::Settings, settings: Stored) -> ImageRig {
     let BitRateSetting::Fixed(bit_rate) = settings.bit_rate else {
         panic!("the master needs a bit rate");
     };

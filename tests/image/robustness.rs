@@ -117,7 +117,7 @@ fn a_board_keeps_its_settings_when_it_gets_the_firmware_of_another_product() {
 #[test]
 fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
     let rate = BitRate::Kbit1000;
-    let stores: Vec<Settings> = (0..380).map(|n| settings((n % 127) as u8 + 1, rate)).collect();
+    let stores: Vec<Stored> = (0..380).map(|n| settings((n % 127) as u8 + 1, rate)).collect();
     let mut rig = ImageRig::new(rate, [board_with_flash(&flash_with(&stores))]);
     rig.lss("04 01");
     let store = |rig: &mut ImageRig, n: usize| {

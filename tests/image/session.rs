@@ -1,6 +1,6 @@
 //! Sessions of an LSS master with the release image on emulated boards, frame by frame.
 
-use firmware::device::DEFAULTS;
+use firmware::device::DEVICE;
 
 use crate::rig::*;
 
@@ -33,7 +33,7 @@ fn a_new_board_gets_its_node_id_and_bit_rate_and_comes_back_with_them() {
     assert_eq!(rig.lss("4C, 04 01, 5E, 11 04, 13 00 02"), ["50", "5E FF", "11 00", "13 00"]);
     assert_eq!(rig.lss("17, 4C"), ["17 00"]);
     assert_eq!(rig.lss("04 00"), ["704: 00"], "boots up at once, at the previous bit rate");
-    let heartbeat = Time::from_ms(DEFAULTS.heartbeat_ms.into());
+    let heartbeat = Time::from_ms(DEVICE.heartbeat_ms.into());
     assert_eq!(rig.collect(heartbeat + Time::from_ms(20)), ["704: 7F"], "the default heartbeat");
     assert_eq!(reset_node(&mut rig, 0x04, BitRate::Kbit500), ["704: 00"]);
     rig.power_cycle(0);

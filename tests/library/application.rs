@@ -1,14 +1,12 @@
 //! A product's own objects, declared by `objects!`: every type, access, limit and refusal, read and written by SDO.
 
-use std::panic::catch_unwind;
-
 use canopen_node::{
     Application, Node,
     application::{
-        self, Dictionary, Domain, Integer24, Integer40, Integer48, Integer56, OctetString, Text,
+        Dictionary, Domain, Integer24, Integer40, Integer48, Integer56, OctetString, Text,
         Unsigned24, Unsigned40, Unsigned48, Unsigned56,
     },
-    object_dictionary::{Access, DataType, Entry, Number, Object, Options},
+    object_dictionary::{Entry, Number},
     objects,
     sdo::Abort,
 };
@@ -209,40 +207,4 @@ fn each_object_has_a_description() {
     assert_eq!(of(0x2100, 1).limits, Some((Number::Integer(-10), Number::Integer(10))));
     assert_eq!(of(0x2101, 3).limits, None);
     assert_eq!(of(0x6000, 0).limits, Some((Number::Real32(0.05), Number::Real32(2.5))));
-}
-
-/// A value with sub-index 1 of an object, which an RPDO may carry.
-const fn part(index: u16, data_type: DataType) -> Entry {
-    Entry {
-        index,
-        sub_index: 1,
-        data_type,
-        access: Access::ReadWrite,
-        options: Options::NONE.mappable(),
-        object: Object::Application(0),
-    }
-}
-
-/// Sub-index 0 of an object with further sub-indices.
-const fn whole(index: u16) -> Entry {
-    let object = Object::HighestSubIndex(1);
-    Entry { sub_index: 0, object, ..part(index, DataType::Unsigned8) }
-}
-
-#[test]
-fn the_error_of_a_wrong_declaration_names_the_object() {
-    let number = part(0x2100, DataType::Unsigned8);
-    for (entries, error) in [
-        (&[whole(0x2100), number, number][..], "object 2100h sub-index 1: it is declared twice"),
-        (&[whole(0x2101), whole(0x2100)], "object 2100h sub-index 0: objects must be sorted"),
-        (
-            &[whole(0x2100), part(0x2100, DataType::VisibleString)],
-            "object 2100h sub-index 1: only numbers can be mapped into a PDO",
-        ),
-        (&[whole(0xA000)], "object A000h sub-index 0: its index must be 2001h to 9FFFh"),
-    ] {
-        let panic = catch_unwind(|| application::check(entries)).expect_err(error);
-        let said = panic.downcast::<String>().expect("a text");
-        assert!(said.starts_with(error), "{said}");
-    }
 }

@@ -122,7 +122,7 @@ fn a_fixed_rate_ends_automatic_detection() {
 
 #[test]
 fn nothing_is_ever_sent_while_listening() {
-    let mut board = listening_with(device(ADDRESS), defaults(0x40).with_heartbeat_ms(100), 0);
+    let mut board = listening_with(device(ADDRESS).with_heartbeat_ms(100), defaults(0x40), 0);
     for kbit_per_s in [800, 500, 250, 125, 50, 20, 10, 1000] {
         assert_eq!(board.see(BusEvent::Error), SILENCE);
         assert_eq!(board.pass_ms(1_000), SILENCE, "no heartbeat");
@@ -221,8 +221,8 @@ fn a_node_without_a_node_id_detects_the_rate_and_is_found_by_the_master() {
 
 /// A board with a heartbeat every second that detects its bit rate since an activation.
 fn activated() -> NodeRig {
-    let settings = defaults(0x40).with_heartbeat_ms(1_000);
-    let mut board = NodeRig::of(with_automatic(device(ADDRESS)).with_defaults(settings));
+    let device = with_automatic(device(ADDRESS)).with_heartbeat_ms(1_000);
+    let mut board = NodeRig::of(device.with_defaults(defaults(0x40)));
     board.configure("13 00 09, 15 00 00");
     assert!(board.node.is_listening());
     board

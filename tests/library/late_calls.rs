@@ -5,7 +5,7 @@ use canopen_node::{Action, Instant};
 use testkit::{
     flash::BoardFlash,
     frames,
-    node_rig::{ADDRESS, NodeRig, defaults},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
     random::Random,
 };
 
@@ -30,14 +30,15 @@ fn late_or_needless_calls_and_the_wrap_of_the_clock_change_no_action_and_no_orde
     let mut random = Random::from_environment();
     let (mut acts, mut missed) = (0, 0);
     for _ in 0..50 {
-        let settings = defaults(random.pick(&[0x40, 0xFF])).with_heartbeat_ms(3);
-        let mut punctual = NodeRig::with_defaults(settings);
-        let mut late = NodeRig::with_defaults(settings);
+        let settings = defaults(random.pick(&[0x40, 0xFF]));
+        let device = device(ADDRESS).with_defaults(settings).with_heartbeat_ms(3);
+        let mut punctual = NodeRig::of(device);
+        let mut late = NodeRig::of(device);
         // The clock wraps, or is at half a turn, within the two seconds or so of the run, or when something is due.
         let any = 1_000 * random.within(0..2_000) as u32;
         let since_us = random.pick(&[0, 1, 3_000, 20_000, any, any]);
         let clock_at_start = random.pick(&[0_u32, 1 << 31]).wrapping_sub(since_us);
-        let mut needless = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), clock_at_start);
+        let mut needless = NodeRig::with_device(device, BoardFlash::blank(0), clock_at_start);
         for step in 0..300 {
             let ms = random.pick(&[0, 0, 1, 2, 5, 10, 40]);
             punctual.pass_ms(ms);

@@ -4,7 +4,7 @@ use canopen_node::{BitRate, nmt::State};
 use testkit::{
     flash::BoardFlash,
     frames::{self, SILENCE},
-    node_rig::{ADDRESS, NodeRig, defaults},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
 };
 
 /// A board in LSS configuration state that has just answered `13 00 02` (500 kbit/s), with an empty timeline.
@@ -24,8 +24,8 @@ fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
         // Also where the clock wraps in one of the delays.
         for before_wrap_us in [0, 1, 1_000 * switch_ms, 1_000 * switch_ms + 1, 2_000 * switch_ms] {
             let clock_at_start = 0u32.wrapping_sub(before_wrap_us);
-            let settings = defaults(0x40).with_heartbeat_ms(1_000);
-            let board = NodeRig::new(ADDRESS, settings, BoardFlash::blank(0), clock_at_start);
+            let device = device(ADDRESS).with_defaults(defaults(0x40)).with_heartbeat_ms(1_000);
+            let board = NodeRig::with_device(device, BoardFlash::blank(0), clock_at_start);
             let mut board = in_configuration(board);
             assert_eq!(board.lss(request), SILENCE);
             assert_eq!(board.pass_us(u64::from(2_000 * switch_ms - 1)), SILENCE);

@@ -125,12 +125,8 @@ fn store_makes_the_pending_values_persistent_and_leaves_the_active_ones() {
     let mut board = NodeRig::with_heartbeat(0x40, 1000);
     board.configure("11 05, 13 00 03");
     assert_eq!(board.lss("17"), ["17 00"]);
-    let heartbeat_ms = 1000;
     let bit_rate = canopen_node::BitRate::Kbit250.into();
-    assert_eq!(
-        board.stored(),
-        Some(Settings::new(bit_rate).with_node_id(NodeId::new(5)).with_heartbeat_ms(heartbeat_ms))
-    );
+    assert_eq!(board.stored(), Some(Settings::new(bit_rate).with_node_id(NodeId::new(5))));
     assert_eq!(board.lss("5E"), ["5E 40"]);
     assert_eq!(board.bit_rate().kbit_per_s(), 1000);
     assert_eq!(board.power_cycle(), ["705: 00"]);

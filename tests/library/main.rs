@@ -3,6 +3,7 @@
 mod application;
 mod application_arrays;
 mod application_events;
+mod application_own;
 mod bit_rate_solver;
 mod bus_listening;
 mod eds;
@@ -51,3 +52,4 @@ mod supervision;
 mod supervision_guest;
 mod supervision_random;
 mod verify_configuration;
+mod wrong_declarations;

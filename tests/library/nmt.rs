@@ -1,11 +1,7 @@
 //! NMT (CiA 301, 7.3.2): boot-up and heartbeat, the commands, the services of each state, the transitions between them.
 
 use canopen_node::{BusEvent, Frame, nmt::State};
-use testkit::{
-    frames::SILENCE,
-    node_rig::{NodeRig, defaults},
-    sdo::Client,
-};
+use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::Client};
 
 /// The commands to all nodes, with the resulting state and its heartbeat.
 const STATES: [(&str, State, &str); 3] = [
@@ -86,8 +82,7 @@ fn the_shortest_and_the_longest_heartbeat_time_are_kept() {
 fn a_node_that_was_silent_for_hours_begins_its_heartbeat_on_time() {
     // 35.8 minutes or more after the start, half a turn of the clock, past instants look like future ones.
     for hours_ms in [2_147_484, 2_200_000, 3_600_000, 4_294_968] {
-        let settings = defaults(0xFF).with_heartbeat_ms(1_000);
-        let mut board = NodeRig::with_defaults(settings);
+        let mut board = NodeRig::with_heartbeat(0xFF, 1_000);
         assert_eq!(board.be_late_ms(hours_ms), SILENCE);
         board.configure("11 04");
         assert_eq!(board.lss("04 00"), ["704: 00"]);

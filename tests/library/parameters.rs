@@ -93,7 +93,7 @@ const HEADER: usize = 6;
 const FAILED: Result<(), u32> = Err(0x0606_0000);
 
 fn board_with<A: Application + Clone>(flash: &BoardFlash, application: A) -> NodeRig<A> {
-    let device = device(ADDRESS).with_defaults(defaults(0x40).with_heartbeat_ms(500));
+    let device = device(ADDRESS).with_defaults(defaults(0x40)).with_heartbeat_ms(500);
     NodeRig::with_application(device, flash.clone(), 0, application)
 }
 
@@ -236,7 +236,7 @@ fn unchanged_parameters_are_not_written() {
     assert_eq!(board.flash.writes(), writes, "after a power cycle");
     board.download(0x1017, 0, &[1, 0]).unwrap();
     assert_eq!(board.save(1), Ok(()));
-    assert_eq!(board.flash.writes(), writes + 10, "the heartbeat time is in the record");
+    assert_eq!(board.flash.writes(), writes + 19, "a part of the parameters, and the record");
 }
 
 #[test]
@@ -339,7 +339,7 @@ fn another_firmware_takes_the_values_whose_type_and_limits_agree() {
     assert!(!new.enabled, "it is no longer stored");
     let board = board_with(&old.flash, Small::new());
     assert!(board.node.application().enabled, "the other values do not fit in the buffer");
-    assert_eq!(board.stored_parameters().len(), HEADER + 1);
+    assert_eq!(board.stored_parameters().len(), HEADER + 2 + HEADER + 1);
 }
 
 #[test]
@@ -367,7 +367,7 @@ fn values_unknown_to_a_firmware_outlast_its_stores_by_lss() {
 }
 
 #[test]
-fn a_node_without_an_application_keeps_its_settings_but_no_parameters() {
+fn a_node_without_an_application_replaces_the_parameters_when_it_saves() {
     let mut board = board_with_200_stored_and_300_set();
     let device = device(ADDRESS).with_defaults(defaults(0x40));
     let mut other = NodeRig::with_device(device, board.flash.clone(), 0);
@@ -378,7 +378,7 @@ fn a_node_without_an_application_keeps_its_settings_but_no_parameters() {
     other.download(0x1017, 0, &[1, 0]).unwrap();
     other.save(1).unwrap();
     board.power_cycle();
-    assert_eq!(values(&mut board), (200, 1));
+    assert_eq!(values(&mut board), (100, 1));
 }
 
 #[test]
@@ -406,17 +406,18 @@ fn the_error_behaviour_is_stored_with_the_parameters_of_communication() {
 fn the_capacity_is_the_sum_of_the_longest_values() {
     let lens = [2, 1, 4, 8, 12, 1];
     let sum: usize = lens.iter().map(|len| HEADER + len).sum();
+    let of_heartbeat = HEADER + 2;
     let of_error_behaviour = HEADER + 1;
     let of_emergency = HEADER + 4 + HEADER + 2;
     let of_verification = 2 * (HEADER + 4);
-    let of_every_node = of_error_behaviour + of_emergency + of_verification;
+    let of_every_node = of_heartbeat + of_error_behaviour + of_emergency + of_verification;
     assert_eq!(canopen_node::Node::<Pump>::STORED_LEN, sum + of_every_node);
     assert_eq!(canopen_node::Node::<Volatile>::STORED_LEN, of_every_node);
     assert_eq!(<canopen_node::Node>::STORED_LEN, of_every_node);
     let mut board = board();
     board.node.application_mut().label = Text::from_bytes(b"twelve bytes").unwrap();
     board.save(1).unwrap();
-    assert_eq!(board.stored_parameters().len(), sum);
+    assert_eq!(board.stored_parameters().len(), sum + of_heartbeat);
 }
 
 #[test]

@@ -13,8 +13,8 @@ use crate::process_data::{Board, Machine, change, map, set};
 /// A board at 10 kbit/s with a machine, in NMT operational: a heartbeat every 5 ms, and three TPDOs with an event timer
 /// of 1 ms, of 3, 8 and 1 bytes.
 fn hurried() -> Board {
-    let settings = defaults(0x40).with_bit_rate(BitRate::Kbit10.into()).with_heartbeat_ms(5);
-    let device = device(ADDRESS).with_defaults(settings);
+    let settings = defaults(0x40).with_bit_rate(BitRate::Kbit10.into());
+    let device = device(ADDRESS).with_defaults(settings).with_heartbeat_ms(5);
     let mut board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new());
     map(&mut board, 0x1802, 0x3C0, &[0x6000_0108]);
     for index in [0x1800, 0x1801, 0x1802] {
@@ -81,8 +81,8 @@ fn changes_and_syncs_are_sent_while_a_periodic_frame_waits() {
 
 #[test]
 fn periodic_services_that_fit_the_bus_keep_their_times() {
-    let settings = defaults(0x40).with_heartbeat_ms(10);
-    let mut board = NodeRig::with_defaults(settings.with_bit_rate(BitRate::Kbit20.into()));
+    let settings = defaults(0x40).with_bit_rate(BitRate::Kbit20.into());
+    let mut board = NodeRig::with_heartbeat_and(settings, 10);
     board.take_actions();
     board.pass_ms(1_000);
     let times: Vec<_> = board.take_timed_actions().map(|(at, _)| at).collect();

@@ -284,7 +284,10 @@ fn illegal_stored_parameters_are_not_taken() {
         (0x1016, 0, 0x07, number(0x0005_03E8)),
         (0x1016, 3, 0x07, number(0x0005_03E8)),
         (0x1016, 1, 0x07, number(0x0105_03E8)),
-        (0x1017, 0, 0x06, vec![1, 0]),
+        (0x1017, 0, 0x06, vec![1]),
+        (0x1017, 0, 0x07, number(1)),
+        (0x1017, 1, 0x06, vec![1, 0]),
+        (0x1018, 0, 0x06, vec![1, 0]),
         (0x1014, 0, 0x07, number(0x81 | 1 << 30)),
         (0x1014, 0, 0x07, number(0x701)),
         (0x1014, 0, 0x06, vec![0x81, 0]),
@@ -331,6 +334,7 @@ fn the_parameters_of_process_data_are_packed_as_documented() {
     let expected = [
         &[0x05, 0x10, 0, 0x07, 4, 0, 0x80, 0, 0, 0][..],
         &[0x19, 0x10, 0, 0x05, 1, 0, 0],
+        &[0x17, 0x10, 0, 0x06, 2, 0, 0, 0],
         &[0x16, 0x10, 1, 0x07, 4, 0, 0xE8, 3, 5, 0],
         &[0x00, 0x14, 0, 0x20, 16, 0, 0, 8, 0, 0, 255, 0, 0, 0],
         &[0x08, 1, 0, 0x62, 0x10, 2, 0, 0x62],
@@ -349,10 +353,11 @@ fn the_capacity_is_that_of_pdos_with_eight_values_and_all_producers() {
     let of_sync = 3 * (HEADER + 4) + HEADER + 1;
     let of_rpdo = HEADER + 4 * (2 + 8) + HEADER + 2;
     let pdos = 3 * (HEADER + 4 * (5 + 8)) + 2 * of_rpdo;
+    let of_heartbeat = HEADER + 2;
     let of_error_behaviour = HEADER + 1;
     let of_emergency = HEADER + 4 + HEADER + 2;
     let of_verification = 2 * (HEADER + 4);
-    let of_every_node = of_error_behaviour + of_emergency + of_verification;
+    let of_every_node = of_heartbeat + of_error_behaviour + of_emergency + of_verification;
     let capacity = of_sync + of_every_node + pdos + 2 * (HEADER + 4);
     assert_eq!(Node::<Machine>::STORED_LEN, capacity);
     let mut board = board();

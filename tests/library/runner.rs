@@ -284,7 +284,7 @@ fn only_lss_answers_outlive_a_reset_of_the_communication() {
 
 /// A board in NMT operational on a busy bus, with a heartbeat every 100 ms and this event timer of its first TPDO.
 fn operational(event_timer_ms: &str) -> Board<Machine> {
-    let device = device(ADDRESS).with_defaults(defaults(5).with_heartbeat_ms(100));
+    let device = device(ADDRESS).with_defaults(defaults(5)).with_heartbeat_ms(100);
     let mut board = Board::with_application(device, Machine::new());
     board.pass_ms(1);
     board.receive(&[&format!("605: 2B 00 18 05 {event_timer_ms} 00 00 00"), "000: 01 05"]);
@@ -508,7 +508,7 @@ fn filters_get_the_cob_ids_in_full_lists() {
 #[test]
 fn a_loss_of_the_settings_is_reported() {
     // A record of an unknown kind.
-    let flash = testkit::settings::flash_with(&[(0, 0, testkit::settings::record(1, 2, 5, 2, 5))]);
+    let flash = testkit::settings::flash_with(&[(0, 0, testkit::settings::record(1, 2, 5, 2))]);
     let (mut log, found) = Storage::open_with_parameters(flash);
     let mut board = Board::with_node_id();
     let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);

@@ -30,16 +30,12 @@ fn stored_settings_are_found_at_the_next_open() {
     let flash = BoardFlash::blank(0);
     for node_id in [1, 2, 0x40, 0x7E, 0x7F, 0xFF] {
         for bit_rate in BitRate::ALL {
-            for heartbeat_ms in [0, 1, 0xFF, 0x100, u16::MAX] {
-                let node_id = NodeId::from_lss(node_id).unwrap();
-                let settings = Settings::new(bit_rate.into())
-                    .with_node_id(node_id)
-                    .with_heartbeat_ms(heartbeat_ms);
-                let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.store(settings), Ok(()));
-                assert_eq!(log.settings(), Some(settings));
-                assert_eq!(open(&flash), (Some(settings), Found::Complete));
-            }
+            let node_id = NodeId::from_lss(node_id).unwrap();
+            let settings = Settings::new(bit_rate.into()).with_node_id(node_id);
+            let (mut log, _) = Log::open(flash.clone());
+            assert_eq!(log.store(settings), Ok(()));
+            assert_eq!(log.settings(), Some(settings));
+            assert_eq!(open(&flash), (Some(settings), Found::Complete));
         }
     }
 }
@@ -57,17 +53,14 @@ fn the_record_in_flash_is_the_documented_one() {
     let place_at = |place: usize| flash.content()[place * PLACE..][..PLACE].to_vec();
     for (place, other_is) in [0, 1, 2].into_iter().enumerate() {
         // The sequence begins with the number of places in a bank.
-        let defaults = record(409 + place as u32, 0, 0xFF, 0xFF, 0xFFFF);
+        let defaults = record(409 + place as u32, 0, 0xFF, 0xFF);
         let expected = testkit::settings::place::<4>(&with_other_bank(defaults, other_is));
         assert_eq!(place_at(place), expected, "used, doomed, erased");
     }
-    log.store(
-        Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5)).with_heartbeat_ms(1000),
-    )
-    .unwrap();
-    assert_eq!(place_at(3), place::<4>(&with_other_bank(record(412, 1, 5, 2, 1000), 2)));
+    log.store(Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5))).unwrap();
+    assert_eq!(place_at(3), place::<4>(&with_other_bank(record(412, 1, 5, 2), 2)));
     log.store(Settings::new(BitRate::Kbit10.into())).unwrap();
-    assert_eq!(place_at(4), place::<4>(&with_other_bank(record(413, 1, 0xFF, 8, 0), 2)));
+    assert_eq!(place_at(4), place::<4>(&with_other_bank(record(413, 1, 0xFF, 8), 2)));
     assert_eq!(flash.content()[5 * PLACE..], [0xFF; 0x8000 - 5 * PLACE]);
 }
 
@@ -85,7 +78,7 @@ fn the_place_in_flash_with_wide_units_is_the_documented_one() {
     assert_eq!(part[20..44], parameters);
     assert_eq!(part[44..48], *b"\0\0SP");
     assert_eq!(part[48..], [0xFF; 16]);
-    let mut expected = record(36, 1, 5, settings(5).bit_rate.index(), 5);
+    let mut expected = record(36, 1, 5, settings(5).bit_rate.index());
     expected[10..22].copy_from_slice(&stored[26..38]);
     assert_eq!(stored, place::<16>(&with_other_bank(expected, 2)));
     assert_eq!(content[5 * 64..], [0xFF; 0x1000 - 5 * 64]);
@@ -224,11 +217,15 @@ fn the_newer_bank_counts_even_where_the_sequence_wraps() {
         for newer_by in [1u32, 2, 600] {
             for bank in [0, 1] {
                 let flash = flash_with::<4, 0x4000>(&[
-                    (1 - bank, 100, record(older, 1, 5, 2, 5)),
-                    (bank, 0, record(older.wrapping_add(newer_by), 1, 6, 2, 6)),
+                    (1 - bank, 100, record(older, 1, 5, 2)),
+                    (bank, 0, record(older.wrapping_add(newer_by), 1, 6, 2)),
                 ]);
                 let (mut log, _) = Log::open(flash.clone());
-                assert_eq!(log.settings().unwrap().heartbeat_ms, 6, "{older:#x} + {newer_by}");
+                assert_eq!(
+                    log.settings().unwrap().node_id,
+                    NodeId::new(6),
+                    "{older:#x} + {newer_by}"
+                );
                 for n in 10..1_000 {
                     if log.store(settings(n)).is_err() {
                         (log, _) = Log::open(flash.clone());
@@ -243,14 +240,14 @@ fn the_newer_bank_counts_even_where_the_sequence_wraps() {
 
 #[test]
 fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
-    let old = record(8, 1, 4, 3, 4);
+    let old = record(8, 1, 4, 3);
     for (byte, bit) in (0..32).flat_map(|byte| (0..8).map(move |bit| (byte, bit))) {
-        let mut new = record(9, 1, 5, 2, 5);
+        let mut new = record(9, 1, 5, 2);
         new[byte] ^= 1 << bit;
         let flash = flash_with::<4, 1024>(&[(0, 0, old), (0, 1, new)]);
         let (mut log, found) = Log::open(flash.clone());
         assert_eq!(found, Found::Interrupted, "byte {byte}, bit {bit}");
-        assert_eq!(log.settings().unwrap().heartbeat_ms, 4);
+        assert_eq!(log.settings().unwrap().node_id, NodeId::new(4));
         assert_eq!(log.store(settings(6)), Ok(()), "after it, not over it");
         assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
     }
@@ -259,26 +256,26 @@ fn a_record_with_any_bit_wrong_does_not_count_and_the_one_before_does() {
 #[test]
 fn a_record_of_illegal_settings_does_not_count() {
     for wrong in [
-        record(9, 1, 0x00, 2, 5),
-        record(9, 1, 0x80, 2, 5),
-        record(9, 1, 0xFE, 2, 5),
-        record(9, 1, 5, 5, 5),
-        record(9, 1, 5, 10, 5),
-        record(9, 1, 5, 0xFF, 5),
-        record(9, 2, 5, 2, 5),
-        record(9, 0xFF, 5, 2, 5),
+        record(9, 1, 0x00, 2),
+        record(9, 1, 0x80, 2),
+        record(9, 1, 0xFE, 2),
+        record(9, 1, 5, 5),
+        record(9, 1, 5, 10),
+        record(9, 1, 5, 0xFF),
+        record(9, 2, 5, 2),
+        record(9, 0xFF, 5, 2),
     ] {
-        let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, wrong)]);
-        assert_eq!(open(&flash).0.unwrap().heartbeat_ms, 4, "{wrong:02X?}");
+        let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3)), (0, 1, wrong)]);
+        assert_eq!(open(&flash).0.unwrap().node_id, NodeId::new(4), "{wrong:02X?}");
     }
 }
 
 #[test]
 fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
-    let later = record(9, 2, 5, 2, 5);
-    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, later)]);
+    let later = record(9, 2, 5, 2);
+    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3)), (0, 1, later)]);
     let (mut log, found) = Log::open(flash.clone());
-    assert_eq!((log.settings().unwrap().heartbeat_ms, found), (4, Found::Interrupted));
+    assert_eq!((log.settings().unwrap().node_id, found), (NodeId::new(4), Found::Interrupted));
     assert_eq!(log.store(settings(6)), Ok(()));
     assert_eq!(flash.content()[PLACE..][BEGUN..][..32], later);
     assert_eq!(open(&flash), (Some(settings(6)), Found::Complete));
@@ -287,12 +284,12 @@ fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
 
 #[test]
 fn unused_bytes_of_a_record_may_have_any_value() {
-    let mut later = record(9, 1, 5, 2, 5);
-    later[7] = 0x00;
+    let mut later = record(9, 1, 5, 2);
+    later[7..10].copy_from_slice(&[0x00, 0xE8, 0x03]);
     later[23] = 0x5A;
-    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3, 4)), (0, 1, sealed(later))]);
+    let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3)), (0, 1, sealed(later))]);
     let (settings, found) = open(&flash);
-    assert_eq!((settings.unwrap().heartbeat_ms, found), (5, Found::Complete));
+    assert_eq!((settings.unwrap().node_id, found), (NodeId::new(5), Found::Complete));
 }
 
 #[test]
@@ -306,7 +303,7 @@ fn other_data_is_erased_and_no_damage() {
     );
     contents.push((0..0x8000).map(|_| random.byte()).collect());
     // Records without what precedes and follows them, as in an earlier version.
-    contents.push((0..1024).flat_map(|n| record(n, 1, 5, 2, 1000)).collect());
+    contents.push((0..1024).flat_map(|n| record(n, 1, 5, 2)).collect());
     for content in contents {
         let flash = BoardFlash::with_content(content, 0);
         let (mut log, found) = Log::open(flash.clone());
@@ -346,13 +343,7 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
             content.resize(E, 0xFF);
         }
         let sequence = first.wrapping_add(random.within(0..1_000) as u32);
-        let mut record = record(
-            sequence,
-            random.byte() % 3,
-            random.byte(),
-            random.byte() % 10,
-            random.u64() as u16,
-        );
+        let mut record = record(sequence, random.byte() % 3, random.byte(), random.byte() % 10);
         record = with_other_bank(record, random.byte() % 3);
         let mut place = place::<4>(&record);
         match random.within(0..6) {

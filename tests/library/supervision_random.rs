@@ -53,12 +53,12 @@ impl Run {
         let rates = BitRate::ALL.into_iter().filter(|&rate| bit_rates.contains(rate));
         let home = random.pick(&rates.collect::<Vec<_>>());
         let heartbeat_ms = random.pick(&[0, 10, 250, 1_000]);
-        let settings = defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms);
+        let settings = defaults(0x40).with_bit_rate(home.into());
         let anywhere = random.u32();
         let clock_at_start = random.pick(&[0, u32::MAX, u32::MAX - 20_000_000, anywhere]);
         Self {
             board: NodeRig::with_device(
-                device.with_defaults(settings),
+                device.with_defaults(settings).with_heartbeat_ms(heartbeat_ms),
                 BoardFlash::blank(0),
                 clock_at_start,
             ),

@@ -15,10 +15,10 @@ pub const DEVICE: Device = Device::new(
     BitRates::possible(CAN_HZ).with_automatic(),
 )
 .with_defaults(DEFAULTS)
+.with_heartbeat_ms(1000)
 .with_name("LSS slave")
 .with_versions("1.0", env!("CARGO_PKG_VERSION"))
 .with_rescue(true);
 
 /// The settings of a new device, which has no node-ID.
-pub const DEFAULTS: Settings =
-    Settings::new(BitRateSetting::Fixed(BitRate::Kbit125)).with_heartbeat_ms(1000);
+pub const DEFAULTS: Settings = Settings::new(BitRateSetting::Fixed(BitRate::Kbit125));

@@ -42,7 +42,8 @@ const DEVICE: Device = Device::new(
     },
     port_esp32c3::BIT_RATES,
 )
-.with_defaults(Settings::new(BitRateSetting::Fixed(BitRate::Kbit125)).with_heartbeat_ms(1000))
+.with_defaults(Settings::new(BitRateSetting::Fixed(BitRate::Kbit125)))
+.with_heartbeat_ms(1000)
 .with_name("LSS slave")
 .with_rescue(true);
 

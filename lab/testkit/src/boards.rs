@@ -13,6 +13,7 @@ use emulator::{
 use crate::{
     flash::BoardFlash,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with},
+    settings::Stored,
 };
 
 /// The duration of the first start, which formats the settings' flash: an erase of 16 KB takes at most 0.8 s.
@@ -45,14 +46,14 @@ pub fn stored_settings(flash: &[u8]) -> Option<Settings> {
 }
 
 /// Stores settings in a board's flash, as the firmware would.
-pub fn store_settings(flash: &mut [u8], settings: Settings) {
+pub fn store_settings(flash: &mut [u8], stored: Stored) {
     let mut log = log(flash);
-    log.store(settings).expect("the flash in memory works, and has room after an open");
+    stored.store(&mut log);
     flash[SETTINGS].copy_from_slice(&log.close().content());
 }
 
-fn log(flash: &[u8]) -> Log<BoardFlash> {
-    Log::open(BoardFlash::with_content(flash[SETTINGS].to_vec(), 0)).0
+fn log(flash: &[u8]) -> Log<BoardFlash, 8> {
+    Log::open_with_parameters(BoardFlash::with_content(flash[SETTINGS].to_vec(), 0)).0
 }
 
 /// A board to be emulated: its chip and crystal, and the variant of its behaviour.
@@ -65,7 +66,7 @@ pub struct Variant<'a> {
 
 impl Variant<'_> {
     /// The board with this number, with the given settings stored or none.
-    pub fn board(&self, number: usize, stored: Option<Settings>) -> Board {
+    pub fn board(&self, number: usize, stored: Option<Stored>) -> Board {
         let settings = board::Settings { unique_id: unique_id(number), ..self.settings };
         let mut board = Board::new(self.part, self.image, settings);
         if let Some(stored) = stored {

@@ -18,6 +18,7 @@ use super::{
     image::{Firmware, example},
     lss_session,
     sdo::{self, Client},
+    settings::Stored,
     wire::{bit_per_s, from_the_wire, on_the_wire},
 };
 
@@ -65,32 +66,30 @@ pub fn blank_board(firmware: Firmware, number: u8) -> board::Board {
 }
 
 /// A board with stored `settings`.
-pub fn board_with(firmware: Firmware, number: u8, settings: Settings) -> board::Board {
+pub fn board_with(firmware: Firmware, number: u8, settings: Stored) -> board::Board {
     let mut board = blank_board(firmware, number);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }
 
 /// A board with the image of the example `io` and stored `settings`.
-pub fn example_board(settings: Settings) -> board::Board {
+pub fn example_board(settings: Stored) -> board::Board {
     let mut board = board::Board::new(Part::Stm32f407, example(), board::Settings::default());
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }
 
 /// The content of the settings' flash after the start of a new board and these stores: the next start writes nothing.
-pub fn flash_with(stores: &[Settings]) -> Vec<u8> {
-    let (mut log, _) = Log::open(BoardFlash::blank(0));
-    for &settings in stores {
-        log.store(settings).expect("the flash works");
-    }
+pub fn flash_with(stores: &[Stored]) -> Vec<u8> {
+    let (mut log, _) = Log::<_, 8>::open_with_parameters(BoardFlash::blank(0));
+    stores.iter().for_each(|stored| stored.store(&mut log));
     log.close().content()
 }
 
 /// Settings without a heartbeat; node-ID FF: not configured.
-pub fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>) -> Settings {
+pub fn settings(node_id: u8, bit_rate: impl Into<BitRateSetting>) -> Stored {
     let node_id = NodeId::from_lss(node_id).expect("1..=127 or FF");
-    Settings::new(bit_rate.into()).with_node_id(node_id)
+    Settings::new(bit_rate.into()).with_node_id(node_id).into()
 }
 
 /// Whether a board has set its bit timing and then joined the bus, by its events since power-on or reset.

@@ -6,7 +6,7 @@ use canopen_node::{
     Receives, Settings,
     application::NoApplication,
     lss::{Address, StoreError},
-    settings::{Found, Log},
+    settings::{Found, Log, parameters::unpack},
 };
 
 use super::{
@@ -88,7 +88,11 @@ impl NodeRig {
     }
 
     pub fn with_heartbeat(node_id: u8, heartbeat_ms: u16) -> Self {
-        Self::with_defaults(defaults(node_id).with_heartbeat_ms(heartbeat_ms))
+        Self::with_heartbeat_and(defaults(node_id), heartbeat_ms)
+    }
+
+    pub fn with_heartbeat_and(defaults: Settings, heartbeat_ms: u16) -> Self {
+        Self::of(device(ADDRESS).with_defaults(defaults).with_heartbeat_ms(heartbeat_ms))
     }
 
     pub fn with_defaults(defaults: Settings) -> Self {
@@ -268,6 +272,13 @@ impl<A: Application + Clone> NodeRig<A> {
     /// The persistent parameters that the node has taken or stored, packed.
     pub fn stored_parameters(&self) -> &[u8] {
         self.log.parameters()
+    }
+
+    /// The persistent heartbeat time, if it has been stored.
+    pub fn stored_heartbeat_ms(&self) -> Option<u16> {
+        let value =
+            unpack(self.log.parameters()).find(|parameter| parameter.index == 0x1017)?.value;
+        Some(u16::from_le_bytes(value.try_into().expect("two bytes")))
     }
 
     /// The persistent settings.

@@ -1,5 +1,7 @@
 //! Settings to store, and handmade records and flashes of the log.
 
+use std::ops::Deref;
+
 use canopen_node::{
     BitRate, NodeId, Settings,
     settings::{
@@ -8,13 +10,55 @@ use canopen_node::{
     },
 };
 
-use super::flash::Flash;
+use super::flash::{BoardFlash, Flash};
+
+/// What a board has stored: its settings and its heartbeat time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stored {
+    pub settings: Settings,
+    /// The producer heartbeat time 1017h; 0: no heartbeat.
+    pub heartbeat_ms: u16,
+}
+
+impl Stored {
+    #[must_use]
+    pub fn with_heartbeat_ms(self, heartbeat_ms: u16) -> Self {
+        Self { heartbeat_ms, ..self }
+    }
+
+    /// Stores it, beside no other parameters.
+    pub fn store<const P: usize>(self, log: &mut Log<BoardFlash, P>) {
+        let mut parameters = [0; 8];
+        Packer::new(&mut parameters).put(&Parameter {
+            index: 0x1017,
+            sub_index: 0,
+            data_type: 0x06,
+            value: &self.heartbeat_ms.to_le_bytes(),
+        });
+        log.store_with_parameters(self.settings, &parameters)
+            .expect("the flash in memory works, and has room");
+    }
+}
+
+/// Without a heartbeat.
+impl From<Settings> for Stored {
+    fn from(settings: Settings) -> Self {
+        Self { settings, heartbeat_ms: 0 }
+    }
+}
+
+impl Deref for Stored {
+    type Target = Settings;
+
+    fn deref(&self) -> &Settings {
+        &self.settings
+    }
+}
 
 /// Settings for number `n`, which differ in more than one field from those for `n` + 1.
 pub fn settings(n: u16) -> Settings {
     Settings::new(BitRate::ALL[usize::from(n % 8)].into())
-        .with_node_id(NodeId::new((n % 128) as u8))
-        .with_heartbeat_ms(n)
+        .with_node_id(NodeId::new((n % 127) as u8))
 }
 
 /// The settings that a power-on finds.
@@ -23,12 +67,11 @@ pub fn open<const W: usize, const E: usize>(flash: &Flash<W, E>) -> (Option<Sett
     (log.settings(), found)
 }
 
-/// The record format of the documentation: sequence, kind, node-ID, bit rate index, heartbeat time, CRC, commit word.
-pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8, heartbeat_ms: u16) -> [u8; 32] {
+/// The record format of the documentation: sequence, kind, node-ID, bit rate index, CRC, commit word.
+pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8) -> [u8; 32] {
     let mut bytes = [0xFF; 32];
     bytes[..4].copy_from_slice(&sequence.to_le_bytes());
     bytes[4..7].copy_from_slice(&[kind, node_id, index]);
-    bytes[8..10].copy_from_slice(&heartbeat_ms.to_le_bytes());
     sealed(bytes)
 }
 

@@ -15,7 +15,8 @@ pub fn with_defaults(defaults: Settings) -> NodeRig {
 
 /// A supervised board with node-ID 40h at `home`, just powered on.
 pub fn powered_on(home: BitRate, heartbeat_ms: u16) -> NodeRig {
-    with_defaults(defaults(0x40).with_bit_rate(home.into()).with_heartbeat_ms(heartbeat_ms))
+    let device = device(ADDRESS).with_rescue(true).with_heartbeat_ms(heartbeat_ms);
+    NodeRig::of(device.with_defaults(defaults(0x40).with_bit_rate(home.into())))
 }
 
 /// A board at `home` that has received nothing and whose boot-up was not acknowledged, with an empty timeline.

@@ -36,18 +36,23 @@ mod field;
 mod text;
 mod value;
 
-pub use declaration::{Row, check, check_count, count, fail, firsts, longest, table};
+pub use declaration::{
+    Row, check, check_communication, check_count, count, fail, firsts, longest, table,
+};
 pub use event::Event;
 pub use field::{FieldType, Plain, ValueOf, check_limits, len, read};
 pub use text::{OctetString, Text};
 pub use value::{
-    Domain, Integer24, Integer40, Integer48, Integer56, Unsigned24, Unsigned40, Unsigned48,
-    Unsigned56, ValueType,
+    Domain, Integer24, Integer40, Integer48, Integer56, LongText, Unsigned24, Unsigned40,
+    Unsigned48, Unsigned56, ValueType,
 };
 
 use core::iter;
 
+use lss_slave::bytes::copy;
+
 use crate::{
+    nmt::ErrorBehaviour,
     numbers::{Count, Declares},
     object_dictionary::{Description, Entry},
     pdo::declaration::{Rpdo, Tpdo},
@@ -87,6 +92,26 @@ pub trait Dictionary {
 
     /// Replaces the value of a field.
     fn set(&mut self, value: Self::Value);
+
+    /// The content of a value that is declared `with` a function to read it.
+    #[doc(hidden)]
+    fn domain(&self, index: u16, sub_index: u8) -> Option<&[u8]> {
+        let _ = (index, sub_index);
+        None
+    }
+
+    /// Writes a part of a value that is declared `with` a function for that.
+    #[doc(hidden)]
+    fn write_part(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        offset: u32,
+        bytes: &[u8],
+    ) -> Result<(), Abort> {
+        let _ = (index, sub_index, offset, bytes);
+        Err(Abort::Hardware)
+    }
 }
 
 /// A product's behaviour beside the node. Each method does nothing by default.
@@ -97,8 +122,13 @@ pub trait Application: Dictionary {
     const TPDOS: &'static [Tpdo] = &[];
     /// The RPDOs as a new device has them, 16 at most. [`Rpdo::UNUSED`] carries nothing before a master maps values.
     const RPDOS: &'static [Rpdo] = &[];
-    /// The number of nodes whose heartbeat a master can have watched, 16 at most.
+    /// The number of nodes whose heartbeat a master can have watched: that of the entries of 1016h, 16 at most.
     const PRODUCERS: usize = 0;
+    /// The nodes whose heartbeat a new device watches: the first entries of 1016h, each a node-ID and the time in
+    /// milliseconds within which each heartbeat must come.
+    const WATCHED: &'static [(u8, u16)] = &[];
+    /// The reaction of a new device to bus-off and to a missing heartbeat: 1029h sub-index 1.
+    const ERROR_BEHAVIOUR: ErrorBehaviour = ErrorBehaviour::EnterPreOperational;
     /// The time without a message of the client after which the SDO server ends a transfer, in milliseconds.
     ///
     /// CiA 301 gives no value. Usual clients wait 0.3 to 1 s for an answer, so a client that is silent for longer has
@@ -127,7 +157,8 @@ pub trait Application: Dictionary {
         let _ = (index, sub_index);
     }
 
-    /// Handles an event of the node.
+    /// Handles an event of the node: a new NMT state or bit rate, an RPDO that has taken effect or is late, a SYNC, and of
+    /// each watched node the boot-up and the heartbeat that is missing or back. [`Event`] has them all.
     fn handle(&mut self, event: Event) {
         let _ = event;
     }
@@ -138,15 +169,13 @@ pub trait Application: Dictionary {
     /// # Errors
     /// The abort code for the client, such as [`Abort::NoData`].
     fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
-        let _ = (index, sub_index);
-        Err(Abort::NoData)
+        self.domain(index, sub_index).map(|content| content.len() as u32).ok_or(Abort::NoData)
     }
 
     /// Copies a part of a [`Domain`], from `offset` to `to`; returns the number of bytes, which is that of `to` unless
     /// the domain ends.
     fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
-        let _ = (index, sub_index, offset, to);
-        0
+        self.domain(index, sub_index).map_or(0, |content| copy(content, offset as usize, to))
     }
 
     /// Accepts the next part of a [`Domain`] from a client. The first part has offset 0; after the last one
@@ -161,8 +190,7 @@ pub trait Application: Dictionary {
         offset: u32,
         bytes: &[u8],
     ) -> Result<(), Abort> {
-        let _ = (index, sub_index, offset, bytes);
-        Err(Abort::Hardware)
+        self.write_part(index, sub_index, offset, bytes)
     }
 
     /// Completes a [`Domain`] that a client has written: `len` bytes, whose CRC was right if the client sent one. A

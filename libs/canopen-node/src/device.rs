@@ -10,6 +10,7 @@ use crate::{BitRateSetting, BitRates, Settings, lss};
 /// let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
 /// let device = Device::new(address, BitRates::possible(40_000_000))
 ///     .with_defaults(Settings::new(BitRate::Kbit250.into()))
+///     .with_heartbeat_ms(1000)
 ///     .with_name("Valve")
 ///     .with_rescue(true);
 /// # let _ = device;
@@ -22,8 +23,10 @@ pub struct Device {
     pub address: lss::Address,
     /// The bit rates that the CAN controller can produce.
     pub bit_rates: BitRates,
-    /// The settings of a device that has stored none. A restore by 1011h takes the heartbeat time from here.
+    /// The settings of a device that has stored none.
     pub defaults: Settings,
+    /// The producer heartbeat time 1017h of a device that has stored none, in milliseconds; 0 disables the heartbeat.
+    pub heartbeat_ms: u16,
     /// Manufacturer device name 1008h.
     pub name: &'static str,
     /// Manufacturer hardware version 1009h.
@@ -45,6 +48,7 @@ impl Device {
             address,
             bit_rates,
             defaults: Settings::new(BitRateSetting::Fixed(bit_rates.fastest())),
+            heartbeat_ms: 0,
             name: "",
             hardware_version: "",
             software_version: "",
@@ -63,6 +67,12 @@ impl Device {
     #[must_use]
     pub const fn with_defaults(self, defaults: Settings) -> Self {
         Self { defaults, ..self }
+    }
+
+    /// Replaces the [`heartbeat_ms`](Self::heartbeat_ms).
+    #[must_use]
+    pub const fn with_heartbeat_ms(self, heartbeat_ms: u16) -> Self {
+        Self { heartbeat_ms, ..self }
     }
 
     /// Replaces the [`bit_rates`](Self::bit_rates).

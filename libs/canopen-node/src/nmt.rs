@@ -69,26 +69,29 @@ impl Command {
 
 /// The effect of a communication error on the NMT state: 1029h sub-index 1 (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
-pub(crate) enum ErrorBehaviour {
-    /// Enters pre-operational, but only from operational.
+pub enum ErrorBehaviour {
+    /// Enter [`State::PreOperational`], but only from [`State::Operational`].
     EnterPreOperational = 0,
+    /// Change nothing.
     KeepState = 1,
+    /// Enter [`State::Stopped`].
     EnterStopped = 2,
 }
 
 impl ErrorBehaviour {
-    /// The behaviour of a new device.
-    pub const DEFAULT: Self = Self::EnterPreOperational;
+    /// The behaviour of a device whose application declares no other.
+    pub(crate) const DEFAULT: Self = Self::EnterPreOperational;
     /// The greatest number of bytes that the stored parameter takes.
-    pub const STORED_LEN: usize = HEADER + 1;
+    pub(crate) const STORED_LEN: usize = HEADER + 1;
     const INDEX: u16 = 0x1029;
     const COMMUNICATION_ERROR: u8 = 1;
     const DATA_TYPE: u8 = DataType::Unsigned8 as u8;
 
-    /// Packs the parameter: one that is not stored is the default.
-    pub fn save(self, to: &mut Packer<'_>) {
-        if self != Self::DEFAULT {
+    /// Packs the parameter: one that is not stored is the `declared` one.
+    pub(crate) fn save(self, declared: Self, to: &mut Packer<'_>) {
+        if self != Self::DEFAULT || declared != Self::DEFAULT {
             to.put(&Parameter {
                 index: Self::INDEX,
                 sub_index: Self::COMMUNICATION_ERROR,
@@ -99,14 +102,14 @@ impl ErrorBehaviour {
     }
 
     /// The behaviour in a stored parameter, if it is this one and legal.
-    pub fn from_stored(parameter: &Parameter<'_>) -> Option<Self> {
+    pub(crate) fn from_stored(parameter: &Parameter<'_>) -> Option<Self> {
         match (parameter.index, parameter.sub_index, parameter.data_type, parameter.value) {
             (Self::INDEX, Self::COMMUNICATION_ERROR, Self::DATA_TYPE, &[value]) => Self::new(value),
             _ => None,
         }
     }
 
-    pub const fn new(value: u8) -> Option<Self> {
+    pub(crate) const fn new(value: u8) -> Option<Self> {
         match value {
             0 => Some(Self::EnterPreOperational),
             1 => Some(Self::KeepState),

@@ -74,7 +74,7 @@ struct Storing {
     /// LSS store configuration requests that have not been answered.
     lss_requests: u8,
     /// An SDO request whose store has not begun.
-    sdo_request: Option<SdoRequest>,
+    sdo_request: Option<Download>,
     verification: Verification,
     written: Written,
 }
@@ -93,13 +93,6 @@ enum Requester {
     Sdo(Download),
     /// An SDO client that a reset or its abort has cancelled.
     Nobody(Download),
-}
-
-#[derive(Clone, Copy, Debug)]
-struct SdoRequest {
-    download: Download,
-    /// The heartbeat time to store, if the download concerns it.
-    heartbeat_ms: u16,
 }
 
 impl Storing {
@@ -153,7 +146,7 @@ impl<A: Application> Node<A> {
         Self {
             product: Product::new(device, application, slave.bit_rate().in_use()),
             slave,
-            nmt: NmtSlave::new(persistent.heartbeat_ms),
+            nmt: NmtSlave::new(device.heartbeat_ms, A::ERROR_BEHAVIOUR),
             emergency: Emergency::new(),
             sdo: sdo::Server::NEW,
             storing: Storing {
@@ -382,7 +375,7 @@ impl<A: Application> Node<A> {
             Area::Verification => self.storing.verification.restore(parameter),
             Area::Communication => {
                 let is_taken = communication.restore::<A>(parameter);
-                self.nmt.set_error_behaviour(communication.error_behaviour());
+                self.nmt.configure(communication.heartbeat_ms(), communication.error_behaviour());
                 self.emergency.configure(communication.emergency());
                 is_taken
             }
@@ -400,9 +393,8 @@ impl<A: Application> Node<A> {
             match (part.change(self.storing.download()), part) {
                 (Change::Keep, _) => part.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
-                // The heartbeat time is among the settings.
                 (Change::Renew, Area::Communication) => {
-                    self.product.communication.save(&mut packer);
+                    self.product.communication.save::<A>(&mut packer);
                 }
                 (Change::Renew, Area::Application) => {
                     areas::save(&self.product.application, &mut packer)
@@ -467,6 +459,10 @@ impl<A: Application> Node<A> {
         own.map(|(entry, description)| match entry.object {
             Object::DeviceType => {
                 let default = DefaultValue::Number(A::DEVICE_TYPE);
+                (entry, Description { default, ..description })
+            }
+            Object::CommunicationErrorBehaviour => {
+                let default = DefaultValue::Number(A::ERROR_BEHAVIOUR as u32);
                 (entry, Description { default, ..description })
             }
             _ => (entry, description),
@@ -535,25 +531,22 @@ impl<A: Application> Node<A> {
             let Settings { node_id, bit_rate, .. } = self.slave.lss().pending();
             (persistent.with_node_id(node_id).with_bit_rate(bit_rate), Requester::Lss)
         } else {
-            let SdoRequest { download, heartbeat_ms } = sdo_request?;
+            let download = sdo_request?;
             self.storing.sdo_request = None;
             let communication = &mut self.product.communication;
             match Area::Communication.change(Some(download)) {
                 Change::Keep => {}
-                Change::Renew => {
-                    communication.stage(self.nmt.error_behaviour(), self.emergency.configuration)
+                Change::Renew => communication.stage(&self.nmt, self.emergency.configuration),
+                Change::Remove => {
+                    communication.stage_declared::<A>(self.product.device.heartbeat_ms);
                 }
-                Change::Remove => communication.stage_declared::<A>(),
             }
             let verification = &mut self.storing.verification;
             if Area::Verification.change(Some(download)) == Change::Remove {
                 verification.clear();
             }
             verification.stage(download.sub_index);
-            let mut settings = match Area::Communication.is_concerned(download.sub_index) {
-                true => persistent.with_heartbeat_ms(heartbeat_ms),
-                false => persistent,
-            };
+            let mut settings = persistent;
             // Their object is in this area.
             let change = Area::Application.change(Some(download));
             if A::SETTINGS_BY_SDO && change == Change::Renew {

@@ -4,7 +4,7 @@ use core::{array, fmt::Debug};
 
 use crate::{
     Application,
-    heartbeat::consumer,
+    heartbeat::consumer::{self, Producer},
     object_dictionary::Entry,
     pdo::{self, Pdo},
 };
@@ -62,6 +62,8 @@ pub trait Declares<A: ?Sized>: Numbers {
     const DECLARED_TPDOS: Self::Tpdos<Pdo>;
     /// The RPDOs of a new device.
     const DECLARED_RPDOS: Self::Rpdos<Pdo>;
+    /// The entries of the heartbeat consumer of a new device.
+    const DECLARED_PRODUCERS: Self::Producers<Producer>;
 }
 
 /// A wrong declaration does not compile.
@@ -70,6 +72,7 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 {
     const DECLARED_TPDOS: [Pdo; TPDOS] = pdo::declared_tpdos::<A, TPDOS>();
     const DECLARED_RPDOS: [Pdo; RPDOS] = pdo::declared_rpdos::<A, RPDOS>();
+    const DECLARED_PRODUCERS: [Producer; PRODUCERS] = consumer::declared::<A, PRODUCERS>();
 }
 
 /// What a [`List`] has.

@@ -178,11 +178,12 @@ pub enum Access {
 pub struct Options(u8);
 
 impl Options {
-    /// Neither mappable nor stored.
+    /// None of them.
     pub const NONE: Self = Self(0);
     const MAPPABLE: u8 = 1;
     const STORED: u8 = 2;
     const QUIET: u8 = 4;
+    const STREAMED: u8 = 8;
 
     /// Adds that the object can be mapped into a PDO.
     #[must_use]
@@ -202,6 +203,19 @@ impl Options {
         Self(self.0 | Self::QUIET)
     }
 
+    /// Adds that the application reads and writes the object in parts.
+    #[must_use]
+    pub(crate) const fn streamed(self) -> Self {
+        Self(self.0 | Self::STREAMED)
+    }
+
+    /// Adds others.
+    #[doc(hidden)]
+    #[must_use]
+    pub const fn and(self, others: Self) -> Self {
+        Self(self.0 | others.0)
+    }
+
     /// Whether the object can be mapped into a PDO.
     pub const fn is_mappable(self) -> bool {
         self.0 & Self::MAPPABLE != 0
@@ -210,6 +224,11 @@ impl Options {
     /// Whether 1010h stores the value.
     pub const fn is_stored(self) -> bool {
         self.0 & Self::STORED != 0
+    }
+
+    /// Whether the application reads and writes the object in parts.
+    pub const fn is_streamed(self) -> bool {
+        self.0 & Self::STREAMED != 0
     }
 
     /// Whether a change of the object alone sends no TPDO.
@@ -335,7 +354,7 @@ table! {
     }
     0x1017 {
         0 "Producer heartbeat time": Unsigned16, ReadWrite, ProducerHeartbeatTime
-            = Number(device.defaults.heartbeat_ms.into());
+            = Number(device.heartbeat_ms.into());
     }
     0x1018 {
         0 "Highest sub-index supported" of "Identity object": Unsigned8, Const, HighestSubIndex(4);

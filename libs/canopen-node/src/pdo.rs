@@ -19,6 +19,7 @@ use core::mem;
 use crate::{
     Application, Frame, Instant, NodeId,
     application::event::Event,
+    declaration_error::DeclarationError,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
     numbers::{Declares, Element, List, Numbers},
@@ -76,10 +77,24 @@ impl<N: Numbers> Configuration<N> {
     }
 }
 
+/// Checks the number of PDOs that are declared, of those that the node has.
+const fn check_number(direction: Direction, declared: usize, possible: usize) {
+    if possible > MAX_PDOS {
+        DeclarationError::of_pdo(direction.pdo(), MAX_PDOS + 1)
+            .text("a node has at most 16")
+            .raise();
+    }
+    if declared > possible {
+        DeclarationError::of_pdo(direction.pdo(), possible + 1)
+            .text("the node has only ")
+            .number(possible)
+            .raise();
+    }
+}
+
 /// The TPDOs of a new device; panics, at compile time, with what is wrong.
 pub(crate) const fn declared_tpdos<A: Application, const TPDOS: usize>() -> [Pdo; TPDOS] {
-    assert!(TPDOS <= MAX_PDOS, "a node has at most 16 TPDOs");
-    assert!(A::TPDOS.len() <= TPDOS, "more TPDOs are declared than the node has");
+    check_number(Direction::Transmit, A::TPDOS.len(), TPDOS);
     let mut tpdos = [Pdo::UNUSED; TPDOS];
     let mut at = 0;
     while at < A::TPDOS.len() {
@@ -91,8 +106,7 @@ pub(crate) const fn declared_tpdos<A: Application, const TPDOS: usize>() -> [Pdo
 
 /// The RPDOs of a new device; panics, at compile time, with what is wrong.
 pub(crate) const fn declared_rpdos<A: Application, const RPDOS: usize>() -> [Pdo; RPDOS] {
-    assert!(RPDOS <= MAX_PDOS, "a node has at most 16 RPDOs");
-    assert!(A::RPDOS.len() <= RPDOS, "more RPDOs are declared than the node has");
+    check_number(Direction::Receive, A::RPDOS.len(), RPDOS);
     let mut rpdos = [Pdo::UNUSED; RPDOS];
     let mut at = 0;
     while at < A::RPDOS.len() {

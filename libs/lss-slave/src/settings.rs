@@ -17,14 +17,12 @@ pub struct Settings {
     pub node_id: Option<NodeId>,
     /// The bit rate or automatic detection.
     pub bit_rate: BitRateSetting,
-    /// The producer heartbeat time 1017h in milliseconds; 0 disables the heartbeat.
-    pub heartbeat_ms: u16,
 }
 
 impl Settings {
-    /// Settings with this bit rate, no node-ID and no heartbeat.
+    /// Settings with this bit rate, and no node-ID.
     pub const fn new(bit_rate: BitRateSetting) -> Self {
-        Self { node_id: None, bit_rate, heartbeat_ms: 0 }
+        Self { node_id: None, bit_rate }
     }
 
     /// Replaces the [`node_id`](Self::node_id).
@@ -37,11 +35,5 @@ impl Settings {
     #[must_use]
     pub const fn with_bit_rate(self, bit_rate: BitRateSetting) -> Self {
         Self { bit_rate, ..self }
-    }
-
-    /// Replaces the [`heartbeat_ms`](Self::heartbeat_ms).
-    #[must_use]
-    pub const fn with_heartbeat_ms(self, heartbeat_ms: u16) -> Self {
-        Self { heartbeat_ms, ..self }
     }
 }

@@ -17,9 +17,10 @@ use testkit::{
 fn new_board(id: u8, rate: u8) -> NodeRig {
     let bit_rates = BitRates::possible(40_000_000).with_automatic();
     let bit_rate = BitRate::from_table(0, rate).map_or(BitRateSetting::Automatic, Into::into);
-    let defaults = Settings::new(bit_rate).with_node_id(NodeId::new(id)).with_heartbeat_ms(5);
+    let defaults = Settings::new(bit_rate).with_node_id(NodeId::new(id));
     let device = Device::new(ADDRESS, bit_rates)
         .with_defaults(defaults)
+        .with_heartbeat_ms(5)
         .with_name("Fuzz")
         .with_versions("A", "1.2.3")
         .with_rescue(true)

@@ -322,7 +322,7 @@ impl Bus {
             let mut board = Board::new(product.chip, &product.image, settings);
             let mut flash = board.flash();
             let settings = Settings::new(BIT_RATE.into()).with_node_id(NodeId::new(node));
-            boards::store_settings(&mut flash, settings);
+            boards::store_settings(&mut flash, settings.into());
             board.set_flash(0, &flash);
             network.add_board(board);
         }

@@ -22,6 +22,7 @@ use testkit::{
     image_rig::ImageRig,
     parallel, product,
     sessions::{self, AWAY, Session},
+    settings::Stored,
     wire::{bit_per_s, on_the_wire},
 };
 
@@ -149,8 +150,8 @@ fn row(Target { part, controller }: Target, image: &Image) -> anyhow::Result<Row
     Ok(Row { core_mhz, boot, rates: check_rates(&variant), sessions })
 }
 
-fn stored(bit_rate: BitRate) -> Settings {
-    Settings::new(bit_rate.into()).with_node_id(NodeId::new(5)).with_heartbeat_ms(0)
+fn stored(bit_rate: BitRate) -> Stored {
+    Settings::new(bit_rate.into()).with_node_id(NodeId::new(5)).into()
 }
 
 /// The clock of the core in MHz, and the time from power-on to the end of the boot-up at 1 Mbit/s.

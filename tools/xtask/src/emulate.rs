@@ -23,7 +23,7 @@ use emulator::{
     chip::Part,
     network::{Network, Recording},
 };
-use testkit::{image_rig::DEFAULT_BIT_RATE, wire::bit_per_s};
+use testkit::{image_rig::DEFAULT_BIT_RATE, settings::Stored, wire::bit_per_s};
 
 use testkit::boards::{self, FIRST_START};
 
@@ -118,17 +118,17 @@ fn bit_rate(text: &str) -> Result<BitRate, String> {
 
 impl Arguments {
     /// The settings stored in a board before its first start; `None`: it is blank.
-    fn preset(&self, number: usize) -> anyhow::Result<Option<Settings>> {
+    fn preset(&self, number: usize) -> anyhow::Result<Option<Stored>> {
         if self.node_id.is_none() && self.bit_rate.is_none() {
             return Ok(None);
         }
-        let settings = Settings::new(self.bit_rate.unwrap_or(DEFAULT_BIT_RATE).into())
-            .with_heartbeat_ms(DEFAULT_HEARTBEAT_MS);
-        let Some(first) = self.node_id.flatten() else { return Ok(Some(settings)) };
+        let settings = Settings::new(self.bit_rate.unwrap_or(DEFAULT_BIT_RATE).into());
+        let stored = |settings| Stored { settings, heartbeat_ms: DEFAULT_HEARTBEAT_MS };
+        let Some(first) = self.node_id.flatten() else { return Ok(Some(stored(settings))) };
         let id = NodeId::new(first.get().saturating_add(number as u8)).with_context(|| {
             format!("--node-id {}: no node-ID is left for board {number}", first.get())
         })?;
-        Ok(Some(settings.with_node_id(Some(id))))
+        Ok(Some(stored(settings.with_node_id(Some(id)))))
     }
 }
 

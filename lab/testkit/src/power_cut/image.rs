@@ -50,9 +50,9 @@ impl Expected {
     }
 }
 
-/// The settings after this store. The heartbeat time of a blank board is stored together with those of LSS.
+/// The settings after this store.
 fn stored((node_id, bit_rate): (u8, BitRate)) -> Settings {
-    settings(node_id, bit_rate).with_heartbeat_ms(1000)
+    settings(node_id, bit_rate).settings
 }
 
 /// The settings' flash of a board that has stored until this number of places were written, at last these settings.
@@ -60,8 +60,8 @@ fn in_use_until(last: u16, settings: Settings) -> Vec<u8> {
     let (mut log, _) = Log::open(BoardFlash::blank(0));
     // The records of the defaults come first.
     for place in 3..last {
-        let heartbeat_ms = settings.heartbeat_ms + last - 1 - place;
-        log.store(settings.with_heartbeat_ms(heartbeat_ms)).expect("the flash works");
+        let node_id = if (last - place) % 2 == 1 { settings.node_id } else { None };
+        log.store(settings.with_node_id(node_id)).expect("the flash works");
     }
     log.close().content()
 }

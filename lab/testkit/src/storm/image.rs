@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use canopen_node::{
-    Action, BitRate, Device, Settings,
+    Action, BitRate, Device,
     application::NoApplication,
     lss::{self, Address},
     nmt,
@@ -26,6 +26,7 @@ use crate::{
     node_rig::NodeRig,
     random::Random,
     sdo::Client,
+    settings::Stored,
     stack,
     wire::{from_the_wire, on_the_wire},
 };
@@ -95,7 +96,7 @@ impl ExampleStorm {
 }
 
 /// A board with stored settings, and a master at the rate of the storm.
-fn rig(mut board: Emulated, image: &Image, settings: Settings) -> ImageRig {
+fn rig(mut board: Emulated, image: &Image, settings: Stored) -> ImageRig {
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     stack::paint(&mut board, image);
     let mut rig = ImageRig::new(RATE, [board]);
@@ -107,7 +108,7 @@ impl<A: Stormed> ImageStorm<A> {
     fn with(
         mut rig: ImageRig,
         device: Device,
-        stored: Settings,
+        stored: Stored,
         seed: u64,
         application: A,
         sample: Box<dyn Fn(&mut A)>,

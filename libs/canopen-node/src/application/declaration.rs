@@ -1,11 +1,11 @@
 //! The macro that declares the objects of a product, and the checks of a declaration at compile time.
 
-#[cfg(doctest)]
-mod refused;
-
 use crate::{
+    Application,
     declaration_error::DeclarationError,
+    heartbeat::consumer,
     object_dictionary::{Access, DataType, Entry, Object, row},
+    pdo,
 };
 
 /// Checks the table of a product; panics, at compile time, with what is wrong.
@@ -25,6 +25,19 @@ pub const fn check(objects: &[Entry]) {
     }
 }
 
+/// Checks what an application declares beside its objects; panics, at compile time, with what is wrong.
+#[doc(hidden)]
+pub const fn check_communication<
+    A: Application,
+    const TPDOS: usize,
+    const RPDOS: usize,
+    const PRODUCERS: usize,
+>() {
+    let _ = pdo::declared_tpdos::<A, TPDOS>();
+    let _ = pdo::declared_rpdos::<A, RPDOS>();
+    let _ = consumer::declared::<A, PRODUCERS>();
+}
+
 /// What is wrong with an entry that follows another.
 const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
     if entry.index < 0x2001 || entry.index > 0x9FFF {
@@ -40,8 +53,10 @@ const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
         return Some("only a mappable object can be quiet");
     }
     if entry.options.is_stored() {
-        if matches!(entry.data_type, DataType::Domain) {
-            return Some("a DOMAIN is not stored: its application keeps it");
+        if entry.options.is_streamed() {
+            return Some(
+                "what is read and written in parts is not stored: its application keeps it",
+            );
         }
         if matches!(entry.access, Access::Const) {
             return Some("a constant is not stored");
@@ -236,17 +251,19 @@ macro_rules! objects {
     (
         $(#[$attribute:meta])*
         $visibility:vis struct $name:ident, values $value:ident;
+        $($(#[$state_attribute:meta])* private $state:ident: $state_type:ty = $start:expr;)*
         $($index:literal $($object:literal)? {
             $(
                 $sub_index:literal $(..= $last:literal)? $text:literal
                 $field:ident: $type:ty = $default:expr, $access:ident
-                $(in $limits:expr)? $(, $option:ident)* ;
+                $(with $read:ident $(and $write:ident)?)? $(in $limits:expr)? $(, $option:ident)* ;
             )+
         })*
     ) => {
         $(#[$attribute])*
-        #[derive(Clone, Copy, Debug)]
+        #[derive(Clone, Debug)]
         $visibility struct $name {
+            $($(#[$state_attribute])* $state: $state_type,)*
             $($(
                 #[doc = $text]
                 pub $field: <$type as $crate::application::FieldType>::Field,
@@ -267,7 +284,7 @@ macro_rules! objects {
         impl $name {
             /// The objects with their defaults.
             pub const fn new() -> Self {
-                Self { $($($field: $default,)+)* }
+                Self { $($state: $start,)* $($($field: $default,)+)* }
             }
         }
 
@@ -299,8 +316,10 @@ macro_rules! objects {
                         index: $index,
                         sub_index: $sub_index,
                         data_type: <application::ValueOf<$type> as application::ValueType>::DATA_TYPE,
-                        access: $crate::objects!(@access $access),
-                        options: $crate::objects!(@options $access)$(.$option())*,
+                        access: $crate::objects!(@access $index $sub_index $access),
+                        options: $crate::objects!(@options $access)
+                            $(.and($crate::objects!(@option $index $sub_index $option)))*
+                            .and(<application::ValueOf<$type> as application::ValueType>::OPTIONS),
                         object: object_dictionary::Object::Application(0),
                     },
                     <$type as application::FieldType>::COUNT,
@@ -347,7 +366,10 @@ macro_rules! objects {
                         let len = parameters::HEADER + <T::Value as application::ValueType>::CAPACITY;
                         if options.is_stored() { len * T::COUNT as usize } else { 0 }
                     }
-                    0 $($( + len::<$type>(object_dictionary::Options::NONE$(.$option())*))+)*
+                    0 $($( + len::<$type>(
+                        object_dictionary::Options::NONE
+                            $(.and($crate::objects!(@option $index $sub_index $option)))*
+                    ))+)*
                 };
 
                 fn len(&self, field: u8) -> usize {
@@ -374,6 +396,26 @@ macro_rules! objects {
                     Err(sdo::Abort::NoObject)
                 }
 
+                fn domain(&self, index: u16, sub_index: u8) -> Option<&[u8]> {
+                    match (index, sub_index) {
+                        $($($(($index, $sub_index) => Some(self.$read()),)?)+)*
+                        _ => None,
+                    }
+                }
+
+                fn write_part(
+                    &mut self,
+                    index: u16,
+                    sub_index: u8,
+                    offset: u32,
+                    bytes: &[u8],
+                ) -> Result<(), sdo::Abort> {
+                    match (index, sub_index) {
+                        $($($($(($index, $sub_index) => self.$write(offset as usize, bytes),)?)?)+)*
+                        _ => Err(sdo::Abort::Hardware),
+                    }
+                }
+
                 fn set(&mut self, value: $value) {
                     match value {
                         $($($crate::pastey::paste!($value::[<$field:camel>](value)) => {
@@ -384,6 +426,12 @@ macro_rules! objects {
             }
 
             application::check(<$name as application::Dictionary>::OBJECTS);
+            application::check_communication::<
+                $name,
+                { <$name as $crate::Application>::TPDOS.len() },
+                { <$name as $crate::Application>::RPDOS.len() },
+                { <$name as $crate::Application>::PRODUCERS },
+            >();
             $($(
                 application::check_count(
                     $index,
@@ -425,12 +473,27 @@ macro_rules! objects {
             1,
         )
     };
-    (@access constant) => { object_dictionary::Access::Const };
-    (@access ro) => { object_dictionary::Access::ReadOnly };
-    (@access rw) => { object_dictionary::Access::ReadWrite };
-    (@access rwr) => { object_dictionary::Access::ReadWriteInput };
-    (@access rww) => { object_dictionary::Access::ReadWriteOutput };
-    (@access wo) => { object_dictionary::Access::WriteOnly };
+    (@access $index:literal $sub_index:literal constant) => { object_dictionary::Access::Const };
+    (@access $index:literal $sub_index:literal ro) => { object_dictionary::Access::ReadOnly };
+    (@access $index:literal $sub_index:literal rw) => { object_dictionary::Access::ReadWrite };
+    (@access $index:literal $sub_index:literal rwr) => { object_dictionary::Access::ReadWriteInput };
+    (@access $index:literal $sub_index:literal rww) => { object_dictionary::Access::ReadWriteOutput };
+    (@access $index:literal $sub_index:literal wo) => { object_dictionary::Access::WriteOnly };
+    (@access $index:literal $sub_index:literal $other:ident) => {
+        compile_error!(concat!(
+            "object ", stringify!($index), " sub-index ", $sub_index, ": `", stringify!($other),
+            "` is no access; there are constant, ro, rw, rwr, rww and wo",
+        ))
+    };
+    (@option $index:literal $sub_index:literal mappable) => { object_dictionary::Options::NONE.mappable() };
+    (@option $index:literal $sub_index:literal quiet) => { object_dictionary::Options::NONE.quiet() };
+    (@option $index:literal $sub_index:literal stored) => { object_dictionary::Options::NONE.stored() };
+    (@option $index:literal $sub_index:literal $other:ident) => {
+        compile_error!(concat!(
+            "object ", stringify!($index), " sub-index ", $sub_index, ": `", stringify!($other),
+            "` is no option; there are mappable, quiet and stored",
+        ))
+    };
     (@options rwr) => { object_dictionary::Options::NONE.mappable() };
     (@options rww) => { object_dictionary::Options::NONE.mappable() };
     (@options $access:ident) => { object_dictionary::Options::NONE };

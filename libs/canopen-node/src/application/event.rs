@@ -21,4 +21,6 @@ pub enum Event {
     BootUp(NodeId),
     /// The heartbeat of a node that the heartbeat consumer watches is missing.
     HeartbeatLost(NodeId),
+    /// A heartbeat that was missing is back. If it is a boot-up, [`BootUp`](Self::BootUp) follows.
+    HeartbeatBack(NodeId),
 }

@@ -6,6 +6,10 @@ use super::ValueType;
 use crate::sdo::Abort;
 
 /// The type of a declared field: a value, or an array of values with consecutive sub-indices.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no type of an object",
+    note = "the documentation of `objects!` has a table of the types"
+)]
 pub trait FieldType {
     /// The type of each value.
     type Value: ValueType;

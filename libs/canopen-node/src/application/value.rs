@@ -5,9 +5,16 @@ use core::fmt::Debug;
 use lss_slave::bytes::copy;
 
 use super::text::{OctetString, Text};
-use crate::{object_dictionary::DataType, sdo::Abort};
+use crate::{
+    object_dictionary::{DataType, Options},
+    sdo::Abort,
+};
 
 /// A type of value in the dictionary (CiA 301, 7.1.4).
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no type of an object",
+    note = "the documentation of `objects!` has a table of the types"
+)]
 pub trait ValueType {
     /// The type of the field that holds the value.
     type Field: Copy + Debug;
@@ -15,6 +22,9 @@ pub trait ValueType {
     const DATA_TYPE: DataType;
     /// The length of the longest value that a client can write, in bytes.
     const CAPACITY: usize;
+    /// The options of each object of this type.
+    #[doc(hidden)]
+    const OPTIONS: Options = Options::NONE;
 
     /// The length of the value in bytes.
     fn len(field: &Self::Field) -> usize;
@@ -182,24 +192,36 @@ strings! {
     OctetString => OctetString,
 }
 
-/// A DOMAIN: data of any length that the application keeps elsewhere, and reads and writes in parts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Domain;
+macro_rules! streamed {
+    ($($(#[$doc:meta])* $name:ident => $data_type:ident;)*) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct $name;
 
-impl ValueType for Domain {
-    type Field = Self;
-    const DATA_TYPE: DataType = DataType::Domain;
-    const CAPACITY: usize = 0;
+        impl ValueType for $name {
+            type Field = Self;
+            const DATA_TYPE: DataType = DataType::$data_type;
+            const CAPACITY: usize = 0;
+            const OPTIONS: Options = Options::NONE.streamed();
 
-    fn len(_: &Self) -> usize {
-        0
-    }
+            fn len(_: &Self) -> usize {
+                0
+            }
 
-    fn read(_: &Self, _: usize, _: &mut [u8]) -> usize {
-        0
-    }
+            fn read(_: &Self, _: usize, _: &mut [u8]) -> usize {
+                0
+            }
 
-    fn parse(_: &[u8]) -> Result<Self, Abort> {
-        Ok(Self)
-    }
+            fn parse(_: &[u8]) -> Result<Self, Abort> {
+                Ok(Self)
+            }
+        }
+    )*};
+}
+
+streamed! {
+    /// A DOMAIN: data of any length that the application keeps elsewhere, and reads and writes in parts.
+    Domain => Domain;
+    /// A VISIBLE_STRING of any length that the application keeps elsewhere, as a [`Domain`].
+    LongText => VisibleString;
 }

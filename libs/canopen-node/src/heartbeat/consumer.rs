@@ -3,11 +3,12 @@
 use core::mem;
 
 use crate::{
-    Frame, Instant, NodeId,
+    Application, Frame, Instant, NodeId,
     application::Event,
+    declaration_error::DeclarationError,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
-    numbers::{Element, List, Numbers},
+    numbers::{Declares, Element, List, Numbers},
     object_dictionary::{
         Access::{Const, ReadWrite},
         DataType::{Unsigned8, Unsigned32},
@@ -57,10 +58,9 @@ impl<const PRODUCERS: usize> Rows<PRODUCERS> {
 }
 
 impl<N: Numbers> Consumer<N> {
-    /// A consumer that watches nobody.
-    pub const fn new() -> Self {
-        const { assert!(N::PRODUCERS <= MAX_PRODUCERS, "a node watches at most 16 heartbeat producers") };
-        Self { producers: Producers::UNUSED, watches: List::UNUSED }
+    /// A consumer with these entries.
+    pub const fn new(producers: Producers<N>) -> Self {
+        Self { producers, watches: List::UNUSED }
     }
 
     /// The entries in use.
@@ -86,12 +86,10 @@ impl<N: Numbers> Consumer<N> {
         }
     }
 
-    /// Handles a frame that may be a heartbeat; passes the boot-ups of producers to `handle`.
+    /// Handles a frame that may be a heartbeat; passes boot-ups and heartbeats that are back to `handle`.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant, mut handle: impl FnMut(Event)) {
         for (watch, producer) in self.watches.as_mut().iter_mut().zip(self.producers.0.as_ref()) {
-            if let Some(event) = watch.handle(producer, frame, now) {
-                handle(event);
-            }
+            watch.handle(producer, frame, now, &mut handle);
         }
     }
 
@@ -139,14 +137,23 @@ impl<N: Numbers> Consumer<N> {
 }
 
 impl<N: Numbers> Producers<N> {
-    pub const UNUSED: Self = Self(List::UNUSED);
+    /// The entries of a new device.
+    pub const fn declared<A: Application>() -> Self
+    where
+        N: Declares<A>,
+    {
+        Self(N::DECLARED_PRODUCERS)
+    }
+
     /// The greatest number of bytes that the stored entries take.
     pub const STORED_LEN: usize = N::PRODUCERS * (HEADER + 4);
 
-    /// Packs the entries in use: one that is not stored is 0.
-    pub fn save(&self, to: &mut Packer<'_>) {
-        let used = (1..).zip(self.0.as_ref()).filter(|(_, producer)| producer.value() != 0);
-        for (sub_index, producer) in used {
+    /// Packs the entries: one that is not stored is 0, unless it is among the first ones, which are `declared`.
+    pub fn save(&self, declared: usize, to: &mut Packer<'_>) {
+        let is_packed = |(sub_index, producer): &(u8, &Producer)| {
+            usize::from(*sub_index) <= declared || producer.value() != 0
+        };
+        for (sub_index, producer) in (1..).zip(self.0.as_ref()).filter(is_packed) {
             let value = &producer.value().to_le_bytes();
             to.put(&Parameter { index: INDEX, sub_index, data_type: Unsigned32 as u8, value });
         }
@@ -201,9 +208,43 @@ pub(crate) fn describe(entry: &Entry, default: DefaultValue) -> Description {
     }
 }
 
+/// The entries of 1016h as an application declares them; panics, at compile time, with what is wrong.
+pub(crate) const fn declared<A: Application + ?Sized, const PRODUCERS: usize>()
+-> [Producer; PRODUCERS] {
+    if PRODUCERS > MAX_PRODUCERS {
+        DeclarationError::new("PRODUCERS is ")
+            .number(PRODUCERS)
+            .text(", at most 16 are possible")
+            .raise();
+    }
+    let mut entries = [Producer::UNUSED; PRODUCERS];
+    let mut at = 0;
+    while at < A::WATCHED.len() {
+        let (node, time_ms) = A::WATCHED[at];
+        let error = DeclarationError::new("WATCHED: node ").number(node as usize);
+        if at >= PRODUCERS {
+            error.text(" is one more than PRODUCERS").raise();
+        }
+        if node == 0 || node > 127 || time_ms == 0 {
+            error.text(" needs a node-ID of 1 to 127 and a time").raise();
+        }
+        let mut before = 0;
+        while before < at {
+            if entries[before].node == node {
+                error.text(" is watched twice").raise();
+            }
+            before += 1;
+        }
+        entries[at] = Producer { node, time_ms };
+        at += 1;
+    }
+    entries
+}
+
 /// An entry of 1016h.
+#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
-struct Producer {
+pub struct Producer {
     node: u8,
     time_ms: u16,
 }
@@ -221,16 +262,26 @@ enum Watch {
 
 impl Watch {
     /// Handles a frame, which may be the producer's heartbeat. A boot-up is the first one (CiA 301, 7.2.8.2.2.2).
-    pub fn handle(&mut self, producer: &Producer, frame: &Frame, now: Instant) -> Option<Event> {
-        let &[state] = frame.data() else {
-            return None;
+    pub fn handle(
+        &mut self,
+        producer: &Producer,
+        frame: &Frame,
+        now: Instant,
+        mut handle: impl FnMut(Event),
+    ) {
+        let (&[state], Some(node)) = (frame.data(), producer.node()) else {
+            return;
         };
-        let node = producer.node()?;
         if producer.cob_id() != Some(frame.cob_id()) {
-            return None;
+            return;
+        }
+        if self.is_lost() {
+            handle(Event::HeartbeatBack(node));
         }
         *self = producer.is_at(now);
-        (state == nmt::State::Initialisation as u8).then_some(Event::BootUp(node))
+        if state == nmt::State::Initialisation as u8 {
+            handle(Event::BootUp(node));
+        }
     }
 
     /// Whether the heartbeat begins to be missing at `now`.

@@ -27,25 +27,25 @@ enum BootUp {
 }
 
 impl NmtSlave {
-    /// A slave after power-on, with this producer heartbeat time.
-    pub const fn new(heartbeat_ms: u16) -> Self {
+    /// A slave after power-on, with this producer heartbeat time and this error behaviour.
+    pub const fn new(heartbeat_ms: u16, error_behaviour: ErrorBehaviour) -> Self {
         Self {
             state: State::Initialisation,
             boot_up: BootUp::Due,
             heartbeat: Producer::new(heartbeat_ms),
-            error_behaviour: ErrorBehaviour::DEFAULT,
+            error_behaviour,
             command: None,
         }
     }
 
-    /// Restarts with the boot-up, this producer heartbeat time and this error behaviour.
-    pub const fn reset_communication(
-        &mut self,
-        heartbeat_ms: u16,
-        error_behaviour: ErrorBehaviour,
-    ) {
+    /// Restarts with the boot-up.
+    pub const fn reset_communication(&mut self) {
         self.state = State::Initialisation;
         self.boot_up = BootUp::Due;
+    }
+
+    /// Sets the parameters with which it starts: the producer heartbeat time and the error behaviour.
+    pub const fn configure(&mut self, heartbeat_ms: u16, error_behaviour: ErrorBehaviour) {
         self.heartbeat.period_ms = heartbeat_ms;
         self.error_behaviour = error_behaviour;
     }
@@ -205,7 +205,7 @@ mod tests {
 
     /// A slave whose boot-up has been sent.
     fn booted(heartbeat_ms: u16) -> NmtSlave {
-        let mut slave = NmtSlave::new(heartbeat_ms);
+        let mut slave = NmtSlave::new(heartbeat_ms, ErrorBehaviour::DEFAULT);
         let boot_up = slave.next_boot_up(node(), NOW);
         assert_eq!(boot_up, Frame::new(0x705, &[0]));
         slave
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_boot_up_is_sent_once() {
-        assert_eq!(NmtSlave::new(0).state(), State::Initialisation);
+        assert_eq!(NmtSlave::new(0, ErrorBehaviour::DEFAULT).state(), State::Initialisation);
         let mut slave = booted(0);
         assert_eq!(slave.state(), State::PreOperational);
         assert_eq!(slave.next_boot_up(node(), NOW), None);

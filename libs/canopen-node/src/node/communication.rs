@@ -1,13 +1,16 @@
 //! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h to 1007h, 1014h to
-//! 1016h, 1019h, 1029h, and each PDO.
+//! 1017h, 1019h, 1029h, and each PDO.
 
 use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
     emergency::{self, Emergency},
-    heartbeat::consumer::{self, Consumer, Producers},
-    nmt::ErrorBehaviour,
+    heartbeat::{
+        self,
+        consumer::{self, Consumer, Producers},
+    },
+    nmt::{ErrorBehaviour, slave::NmtSlave},
     numbers::{Declares, Numbers},
     object_dictionary::{DefaultValue, Description, Entry, Object},
     pdo::{self, Pdos},
@@ -33,6 +36,7 @@ pub(super) struct Communication<N: Numbers> {
 struct Configuration<N: Numbers> {
     pdos: pdo::Configuration<N>,
     producers: Producers<N>,
+    heartbeat_ms: u16,
     error_behaviour: ErrorBehaviour,
     emergency: emergency::Configuration,
 }
@@ -42,14 +46,14 @@ impl<N: Numbers> Communication<N> {
     pub const IS_USED: bool = N::TPDOS + N::RPDOS + N::PRODUCERS > 0;
 
     /// The services as the application declares them. A wrong declaration does not compile.
-    pub const fn new<A: Application>() -> Self
+    pub const fn new<A: Application>(heartbeat_ms: u16) -> Self
     where
         N: Declares<A>,
     {
-        let declared = Configuration::declared::<A>();
+        let declared = Configuration::declared::<A>(heartbeat_ms);
         Self {
             pdos: Pdos::new(declared.pdos),
-            consumer: Consumer::new(),
+            consumer: Consumer::new(declared.producers),
             persistent: declared,
             staged: None,
             has_new_receives: false,
@@ -73,7 +77,7 @@ impl<N: Numbers> Communication<N> {
     where
         N: Declares<A>,
     {
-        let new = Self::new::<A>();
+        let new = Self::new::<A>(0);
         let default = move |entry: &Entry| {
             let value = |node| new.read(entry.object, NodeId::new(node)).unwrap_or_default();
             match (entry.object, value(1), value(2)) {
@@ -181,11 +185,17 @@ impl<N: Numbers> Communication<N> {
         N: Declares<A>,
     {
         // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
-        let _ = Configuration::<N>::declared::<A>();
+        let _ = Configuration::<N>::declared::<A>(0);
         pdo::Configuration::<N>::STORED_LEN
             + Producers::<N>::STORED_LEN
+            + heartbeat::producer::STORED_LEN
             + ErrorBehaviour::STORED_LEN
             + emergency::Configuration::STORED_LEN
+    }
+
+    /// The producer heartbeat time to which a reset returns, in milliseconds.
+    pub const fn heartbeat_ms(&self) -> u16 {
+        self.persistent.heartbeat_ms
     }
 
     /// The error behaviour to which a reset returns.
@@ -207,24 +217,29 @@ impl<N: Numbers> Communication<N> {
     }
 
     /// Begins a store of the current parameters.
-    pub fn stage(&mut self, error_behaviour: ErrorBehaviour, emergency: emergency::Configuration) {
-        let (pdos, producers) = (*self.pdos.configuration(), *self.consumer.producers());
-        let current = Configuration { pdos, producers, error_behaviour, emergency };
+    pub fn stage(&mut self, nmt: &NmtSlave, emergency: emergency::Configuration) {
+        let current = Configuration {
+            pdos: *self.pdos.configuration(),
+            producers: *self.consumer.producers(),
+            heartbeat_ms: nmt.heartbeat_ms(),
+            error_behaviour: nmt.error_behaviour(),
+            emergency,
+        };
         self.staged.insert(current).pdos.remove_unused();
     }
 
     /// Begins a store that removes the parameters, so that the declared ones apply.
-    pub fn stage_declared<A: Application>(&mut self)
+    pub fn stage_declared<A: Application>(&mut self, heartbeat_ms: u16)
     where
         N: Declares<A>,
     {
-        self.staged = Some(Configuration::declared::<A>());
+        self.staged = Some(Configuration::declared::<A>(heartbeat_ms));
     }
 
     /// Packs the parameters of the store in progress.
-    pub fn save(&self, to: &mut Packer<'_>) {
+    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
         if let Some(staged) = &self.staged {
-            staged.save(to);
+            staged.save::<A>(to);
         }
     }
 
@@ -239,8 +254,8 @@ impl<N: Numbers> Communication<N> {
 }
 
 impl<N: Numbers> Configuration<N> {
-    /// The parameters of a new device.
-    const fn declared<A: Application>() -> Self
+    /// The parameters of a new device with this producer heartbeat time.
+    const fn declared<A: Application>(heartbeat_ms: u16) -> Self
     where
         N: Declares<A>,
     {
@@ -252,21 +267,27 @@ impl<N: Numbers> Configuration<N> {
         }
         Self {
             pdos: pdo::Configuration::declared::<A>(),
-            producers: Producers::UNUSED,
-            error_behaviour: ErrorBehaviour::DEFAULT,
+            producers: Producers::declared::<A>(),
+            heartbeat_ms,
+            error_behaviour: A::ERROR_BEHAVIOUR,
             emergency: emergency::Configuration::DEFAULT,
         }
     }
 
-    fn save(&self, to: &mut Packer<'_>) {
+    fn save<A: Application>(&self, to: &mut Packer<'_>) {
         self.pdos.save_sync(to);
-        self.error_behaviour.save(to);
+        heartbeat::producer::save(self.heartbeat_ms, to);
+        self.error_behaviour.save(A::ERROR_BEHAVIOUR, to);
         self.emergency.save(to);
-        self.producers.save(to);
+        self.producers.save(A::WATCHED.len(), to);
         self.pdos.save(to);
     }
 
     fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
+        if let Some(heartbeat_ms) = heartbeat::producer::from_stored(parameter) {
+            self.heartbeat_ms = heartbeat_ms;
+            return Some(());
+        }
         if let Some(behaviour) = ErrorBehaviour::from_stored(parameter) {
             self.error_behaviour = behaviour;
             return Some(());

@@ -24,9 +24,9 @@ impl<A: Application> Node<A> {
 
     fn reset_communication(&mut self) -> Action {
         self.slave.reset_communication();
+        self.nmt.reset_communication();
         let communication = &mut self.product.communication;
-        let heartbeat_ms = self.storing.persistent.heartbeat_ms;
-        self.nmt.reset_communication(heartbeat_ms, communication.error_behaviour());
+        self.nmt.configure(communication.heartbeat_ms(), communication.error_behaviour());
         self.emergency.configure(communication.emergency());
         communication.reset();
         self.storing.verification.reset();

@@ -6,7 +6,7 @@ use core::cmp::Ordering;
 use lss_slave::{Slave, bytes::copy};
 
 use super::{
-    Action, Node, SdoRequest, Storing, Task, Tasks, areas::Download, communication::Communication,
+    Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
     settings_object,
 };
 use crate::{
@@ -15,7 +15,7 @@ use crate::{
     emergency::Emergency,
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
-    object_dictionary::{self, DataType, Entry, Object, TABLE},
+    object_dictionary::{self, Entry, Object, TABLE},
     sdo::{self, Abort, Content, Message, Objects},
 };
 
@@ -108,7 +108,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let node_id = self.slave.lss().active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
-                if entry.data_type != DataType::Domain {
+                if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
                 }
                 return Ok(Content::OfApplication(field));
@@ -183,11 +183,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let mut number = [0; 4];
         copy(bytes, 0, &mut number);
         match (entry.object, u32::from_le_bytes(number)) {
-            (Object::StoreParameters, SAVE) => {
-                self.request_store(entry, self.nmt.heartbeat_ms(), confirmation)
-            }
-            (Object::RestoreDefaultParameters, LOAD) => {
-                self.request_store(entry, self.device.defaults.heartbeat_ms, confirmation)
+            (Object::StoreParameters, SAVE) | (Object::RestoreDefaultParameters, LOAD) => {
+                self.request_store(entry, confirmation)
             }
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
@@ -228,18 +225,16 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
-        match entry.data_type {
-            DataType::Domain => self.application.domain_len(entry.index, entry.sub_index),
-            _ => Ok(self.application.len(field) as u32),
+        match entry.options.is_streamed() {
+            true => self.application.domain_len(entry.index, entry.sub_index),
+            false => Ok(self.application.len(field) as u32),
         }
     }
 
     fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize {
-        match entry.data_type {
-            DataType::Domain => {
-                self.application.read_domain(entry.index, entry.sub_index, offset, to)
-            }
-            _ => self.application.read(field, offset as usize, to),
+        match entry.options.is_streamed() {
+            true => self.application.read_domain(entry.index, entry.sub_index, offset, to),
+            false => self.application.read(field, offset as usize, to),
         }
     }
 
@@ -294,7 +289,6 @@ impl<A: Application> NodeObjects<'_, A> {
     fn request_store(
         &mut self,
         entry: &Entry,
-        heartbeat_ms: u16,
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
         let Entry { index, sub_index, .. } = *entry;
@@ -302,7 +296,7 @@ impl<A: Application> NodeObjects<'_, A> {
         if self.storing.sdo_request.is_some() {
             return Err(Abort::Busy);
         }
-        self.storing.sdo_request = Some(SdoRequest { download, heartbeat_ms });
+        self.storing.sdo_request = Some(download);
         Ok(None)
     }
 }

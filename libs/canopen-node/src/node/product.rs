@@ -16,7 +16,12 @@ impl<A: Application> Product<A> {
     /// A product after power-on.
     pub const fn new(device: Device, application: A, rate: BitRate) -> Self {
         let known = (nmt::State::Initialisation, rate);
-        Self { device, application, communication: Communication::new::<A>(), known }
+        Self {
+            device,
+            application,
+            communication: Communication::new::<A>(device.heartbeat_ms),
+            known,
+        }
     }
 
     /// Informs the application and process data of the NMT state and the bit rate, if they are new. Returns whether PDOs

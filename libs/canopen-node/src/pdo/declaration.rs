@@ -1,8 +1,5 @@
 //! The declaration of a product's PDOs: their parameters and their mapping in a new device.
 
-#[cfg(doctest)]
-mod refused;
-
 /// A TPDO as a new device has it: the mapped values of the application, and when they are sent.
 ///
 /// ```

@@ -3,7 +3,7 @@
 use lss_slave::bytes::copy;
 
 use super::{Abort, Message, Objects, upload::TOGGLE};
-use crate::object_dictionary::{DataType, Entry};
+use crate::object_dictionary::Entry;
 
 /// A download under way. A domain goes to the application part by part; every other value is assembled in the
 /// server's buffer and written at the end, so that a transfer that is cut short changes nothing.
@@ -22,10 +22,10 @@ impl Download {
         announced: Option<u32>,
         buffer: &[u8],
     ) -> Result<Self, Abort> {
-        let (shortest, longest) = match (entry.data_type, entry.data_type.size()) {
-            (DataType::Domain, _) => (0, u32::MAX),
-            (_, 0) => (0, buffer.len() as u32),
-            (_, size) => (size.into(), size.into()),
+        let (shortest, longest) = match (entry.options.is_streamed(), entry.data_type.size()) {
+            (true, _) => (0, u32::MAX),
+            (false, 0) => (0, buffer.len() as u32),
+            (false, size) => (size.into(), size.into()),
         };
         match announced {
             Some(len) if len > longest => Err(Abort::TooLong),
@@ -45,7 +45,7 @@ impl Download {
         if self.announced.is_some_and(|announced| len > announced) {
             return Err(Abort::TooLong);
         }
-        if self.entry.data_type == DataType::Domain {
+        if self.entry.options.is_streamed() {
             objects.write_domain(self.entry, self.len, bytes)?;
         } else {
             let place = buffer.get_mut(self.len as usize..len as usize).ok_or(Abort::TooLong)?;
@@ -65,7 +65,7 @@ impl Download {
         if self.announced.is_some_and(|announced| self.len < announced) {
             return Err(Abort::TooShort);
         }
-        if self.entry.data_type == DataType::Domain {
+        if self.entry.options.is_streamed() {
             objects.end_domain(self.entry, self.len)?;
             return Ok(Some(confirmation));
         }

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     Instant,
-    object_dictionary::{Access, DataType, Entry},
+    object_dictionary::{Access, Entry},
 };
 
 /// The number of segments of a block upload that may wait for the bus: the second is there when the first has left,
@@ -371,7 +371,7 @@ impl Transfer {
     fn domain(&self) -> Option<&'static Entry> {
         match self {
             Self::Download(download) | Self::BlockDownload(BlockDownload { download, .. })
-                if download.entry.data_type == DataType::Domain =>
+                if download.entry.options.is_streamed() =>
             {
                 Some(download.entry)
             }

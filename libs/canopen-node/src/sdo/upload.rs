@@ -3,7 +3,7 @@
 use lss_slave::bytes::copy;
 
 use super::{Abort, Address, Content, Message, Objects};
-use crate::object_dictionary::{DataType, Entry};
+use crate::object_dictionary::Entry;
 
 /// The toggle bit of a segment.
 pub(super) const TOGGLE: u8 = 0x10;
@@ -46,7 +46,7 @@ impl Upload {
             Content::OfApplication(field) => {
                 let len = objects.len(entry, field)?;
                 match buffer.get_mut(..len as usize) {
-                    Some(copy) if entry.data_type != DataType::Domain => {
+                    Some(copy) if !entry.options.is_streamed() => {
                         objects.read_part(entry, field, 0, copy);
                         Source::Buffer(len)
                     }

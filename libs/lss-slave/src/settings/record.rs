@@ -9,8 +9,7 @@
 //! | 4 | kind: `01` settings, `00` the device's defaults apply |
 //! | 5 | node-ID, `01`..`7F`; `FF` none |
 //! | 6 | bit rate: index in the LSS table, `00`..`04`, `06`..`08`, `09` automatic |
-//! | 7 | unused, `FF` |
-//! | 8..9 | producer heartbeat time in ms |
+//! | 7..9 | unused, `FF` |
 //! | 10..11 | parameters: their first place, counted from the start of the bank |
 //! | 12..13 | length of the parameters in bytes; `FFFF` none |
 //! | 14..17 | CRC-32 of the parameters |
@@ -65,21 +64,18 @@ impl Record {
     /// The record in flash.
     pub fn to_bytes(self) -> [u8; LEN] {
         let [s0, s1, s2, s3] = self.sequence.to_le_bytes();
-        let (kind, node_id, index, [h0, h1]) = match self.settings {
-            None => (KIND_DEFAULTS, 0xFF, 0xFF, [0xFF; 2]),
-            Some(settings) => (
-                KIND_SETTINGS,
-                NodeId::to_lss(settings.node_id),
-                settings.bit_rate.index(),
-                settings.heartbeat_ms.to_le_bytes(),
-            ),
+        let (kind, node_id, index) = match self.settings {
+            None => (KIND_DEFAULTS, 0xFF, 0xFF),
+            Some(settings) => {
+                (KIND_SETTINGS, NodeId::to_lss(settings.node_id), settings.bit_rate.index())
+            }
         };
         const X: u8 = 0xFF;
         let [p0, p1, p2, p3, p4, p5, p6, p7, p8, p9, p10, p11] =
             self.parameters.map_or([X; 12], Reference::to_bytes);
         #[rustfmt::skip]
         let content = [
-            s0, s1, s2, s3, kind, node_id, index, X, h0, h1, p0, p1,
+            s0, s1, s2, s3, kind, node_id, index, X, X, X, p0, p1,
             p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, self.other_is as u8, X,
         ];
         let [r0, r1, r2, r3] = crc_of(&content);
@@ -98,13 +94,12 @@ impl Record {
         if *commit != COMMIT || *crc != crc_of(content) {
             return None;
         }
-        let [s0, s1, s2, s3, kind, node_id, index, _, h0, h1, .., other, _] = *content;
+        let [s0, s1, s2, s3, kind, node_id, index, .., other, _] = *content;
         let settings = match kind {
             KIND_DEFAULTS => None,
             KIND_SETTINGS => Some(Settings {
                 node_id: NodeId::from_lss(node_id).ok()?,
                 bit_rate: BitRateSetting::from_table(0, index)?,
-                heartbeat_ms: u16::from_le_bytes([h0, h1]),
             }),
             _ => return None,
         };

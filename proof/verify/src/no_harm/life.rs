@@ -17,6 +17,7 @@ use testkit::{
     boards::Variant,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
     random::Random,
+    settings::Stored,
     wire::{bit_per_s, on_the_wire},
 };
 
@@ -475,8 +476,10 @@ fn pause(foreign: Foreign) -> Time {
 fn board(number: usize, node: Node, drift_ppm: i32, image: &Image, part: Part) -> Board {
     let crystal = Clock { hz: 8_000_000, ppm: PPM[number % PPM.len()] + drift_ppm };
     let settings = board::Settings { crystal, ..Default::default() };
-    let stored = Settings::new(node.stored.into())
-        .with_node_id(node.node_id.and_then(NodeId::new))
-        .with_heartbeat_ms(node.heartbeat_ms);
+    let node_id = node.node_id.and_then(NodeId::new);
+    let stored = Stored {
+        settings: Settings::new(node.stored.into()).with_node_id(node_id),
+        heartbeat_ms: node.heartbeat_ms,
+    };
     Variant { image, part, settings }.board(number, Some(stored))
 }

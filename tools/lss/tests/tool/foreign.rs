@@ -30,8 +30,8 @@ impl Slaves {
         let mut slaves = Vec::new();
         for (serial_number, habits) in habits {
             let address = Address { serial_number, ..ADDRESS };
-            let defaults = Settings::new(BitRate::Kbit125.into()).with_heartbeat_ms(1000);
-            let device = device(address).with_defaults(defaults);
+            let defaults = Settings::new(BitRate::Kbit125.into());
+            let device = device(address).with_defaults(defaults).with_heartbeat_ms(1000);
             slaves.push((NodeRig::with_device(device, BoardFlash::blank(0), 0), habits));
         }
         let random = Random::from_seed(random.u64());

@@ -137,10 +137,9 @@ fn twice(ids: &[Option<NodeId>]) -> BTreeSet<NodeId> {
 
 /// A slave with supervision of the bit rate.
 fn slave(address: Address, node_id: u8) -> NodeRig {
-    let settings = Settings::new(RATE.into())
-        .with_node_id(NodeId::from_lss(node_id).expect("1..=127 or FF"))
-        .with_heartbeat_ms(1000);
-    let device = device(address).with_rescue(true).with_defaults(settings);
+    let settings =
+        Settings::new(RATE.into()).with_node_id(NodeId::from_lss(node_id).expect("1..=127 or FF"));
+    let device = device(address).with_rescue(true).with_defaults(settings).with_heartbeat_ms(1000);
     NodeRig::with_device(device, BoardFlash::blank(0), 0)
 }
 

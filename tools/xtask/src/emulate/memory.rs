@@ -6,10 +6,10 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
-use canopen_node::Settings;
+
 use emulator::{board::Board, chip::FLASH_BASE, image::Image, network::Network};
 
-use testkit::boards;
+use testkit::{boards, settings::Stored};
 
 /// The flash files, if they are wanted.
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Memory {
         board: &mut Board,
         image: &Image,
         number: usize,
-        preset: Option<Settings>,
+        preset: Option<Stored>,
     ) -> anyhow::Result<()> {
         let mut flash = board.flash();
         if let Some(path) = self.path(number) {
@@ -102,6 +102,8 @@ mod tests {
     use canopen_node::{BitRate, NodeId};
     use emulator::chip::Part;
 
+    use canopen_node::Settings;
+
     use super::*;
 
     const PART: Part = Part::Stm32f446;
@@ -115,7 +117,7 @@ mod tests {
     }
 
     /// Runs a board with the program `image`, which does nothing; returns the content of its flash.
-    fn run(directory: Option<&Path>, image: &Image, preset: Option<Settings>) -> Vec<u8> {
+    fn run(directory: Option<&Path>, image: &Image, preset: Option<Stored>) -> Vec<u8> {
         let mut memory = Memory::open(directory).expect("the directory can be made");
         let mut board = boards::board(PART, image, 0);
         memory.restore(&mut board, image, 0, preset).expect("the file is good or missing");
@@ -135,8 +137,8 @@ mod tests {
     #[test]
     fn settings_survive_from_run_to_run_under_a_new_program() {
         let directory = new_directory("settings-survive");
-        run(Some(&directory), &image(1), Some(settings(5)));
-        let flash = run(Some(&directory), &image(2), Some(settings(6)));
+        run(Some(&directory), &image(1), Some(settings(5).into()));
+        let flash = run(Some(&directory), &image(2), Some(settings(6).into()));
         assert_eq!(boards::stored_settings(&flash), Some(settings(5)));
         assert_eq!(flash[..64], [2; 64]);
         assert_eq!(fs::read(directory.join("board-0.bin")).ok(), Some(flash));
@@ -146,7 +148,7 @@ mod tests {
 
     #[test]
     fn without_a_directory_nothing_survives() {
-        run(None, &image(1), Some(settings(5)));
+        run(None, &image(1), Some(settings(5).into()));
         assert_eq!(boards::stored_settings(&run(None, &image(1), None)), None);
     }
 

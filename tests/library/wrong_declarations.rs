@@ -1,0 +1,199 @@
+//! Wrong declarations of objects and PDOs: `cargo check` names each, with the object or the PDO.
+
+use std::{fmt::Write as _, fs};
+
+use testkit::cargo::{cargo, scratch, workspace};
+
+/// Beside the wrong part: an input, an output, and a value that is not mappable.
+const VALUES: &str = r#"0x6000 "Values" {
+    1 "Input" input: u64 = 0, ro, mappable;
+    2 "Output" output: u8 = 0, wo, mappable;
+    3 "Private" private: u8 = 0, rw;
+}"#;
+
+/// Objects that are wrong, and the message.
+const OBJECTS: [(&str, &str); 20] = [
+    (
+        r#"0x2000 { 0 "A" a: u8 = 0, rw; }"#,
+        "object 2000h sub-index 0: its index must be 2001h to 9FFFh",
+    ),
+    (
+        r#"0x2FF0 { 0 "A" a: u8 = 0, rw; }"#,
+        "object 2FF0h sub-index 0: this index is that of the node-ID and the bit rate",
+    ),
+    (
+        r#"0x2101 { 0 "A" a: u8 = 0, rw; } 0x2100 { 0 "B" b: u8 = 0, rw; }"#,
+        "object 2100h sub-index 0: objects must be sorted by index and sub-index",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, rw; } 0x2100 { 0 "B" b: u8 = 0, rw; }"#,
+        "object 2100h sub-index 0: it is declared twice",
+    ),
+    (
+        r#"0x2100 "A" { 1 "A" a: u8 = 0, rw; 1 "B" b: u8 = 0, rw; }"#,
+        "object 2100h sub-index 1: it is declared twice",
+    ),
+    (
+        r#"0x2100 { 1 "A" a: u8 = 0, rw; }"#,
+        "object 2100h sub-index 1: an object with sub-indices needs a name",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, rw; 1 "B" b: u8 = 0, rw; }"#,
+        "object 2100h sub-index 1: an object with sub-indices needs a name",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u16 = 101, rw in 0..=100; }"#,
+        "object 2100h sub-index 0: its default is out of its limits",
+    ),
+    (
+        r#"0x2100 "A" { 1..=2 "A" a: [u16; 2] = [0, 101], rw in 0..=100; }"#,
+        "object 2100h sub-index 2: its default is out of its limits",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: Unsigned24 = 0, rw in 0..=16_777_216; }"#,
+        "object 2100h sub-index 0: a limit is out of the range of its type",
+    ),
+    (
+        r#"0x2100 "A" { 1..=3 "A" a: [u16; 2] = [0; 2], rw; }"#,
+        "object 2100h sub-index 1: an array has a value for each of its sub-indices, such as 1..=4 and [f32; 4]",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: &'static str = "", ro, mappable; }"#,
+        "object 2100h sub-index 0: only numbers can be mapped into a PDO",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, ro, quiet; }"#,
+        "object 2100h sub-index 0: only a mappable object can be quiet",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, constant, stored; }"#,
+        "object 2100h sub-index 0: a constant is not stored",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: Domain = Domain, ro, stored; }"#,
+        "object 2100h sub-index 0: what is read and written in parts is not stored: its application keeps it",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, r; }"#,
+        "object 0x2100 sub-index 0: `r` is no access; there are constant, ro, rw, rwr, rww and wo",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, rw, mapable; }"#,
+        "object 0x2100 sub-index 0: `mapable` is no option; there are mappable, quiet and stored",
+    ),
+    (r#"0x2100 { 0 "A" a: usize = 0, rw; }"#, "`usize` is no type of an object"),
+    (r#"0x2100 { 0 "A" a: u8 = 256, rw; }"#, "literal out of range for `u8`"),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, rw; } 0x2101 { 0 "B" a: u8 = 0, rw; }"#,
+        "field `a` is already declared",
+    ),
+];
+
+/// What is wrong beside the objects, and the message.
+const COMMUNICATION: [(&str, &str); 17] = [
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED, Tpdo::new(&[(0x6000, 4)])];",
+        "TPDO 2: 6000h sub-index 4 does not exist",
+    ),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)])];",
+        "TPDO 1: 6000h sub-index 3 is not declared as mappable",
+    ),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 2)])];",
+        "TPDO 1: 6000h sub-index 2 is no input: its access is wo or rww",
+    ),
+    (
+        "RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 1)])];",
+        "RPDO 1: 6000h sub-index 1 is no output: its access is constant, ro or rwr",
+    ),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6000, 1)])];",
+        "TPDO 1: its values have 16 bytes, at most 8 are possible",
+    ),
+    (
+        "RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(5, 0); 9])];",
+        "RPDO 1: 9 values are mapped, at most 8 are possible",
+    ),
+    ("TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED; 17];", "TPDO 17: a node has at most 16"),
+    ("RPDOS: &'static [Rpdo] = &[Rpdo::UNUSED; 17];", "RPDO 17: a node has at most 16"),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]); 5];",
+        "TPDO 5: it must be `invalid()`: only the first 4 have a COB-ID in a new device",
+    ),
+    ("TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_transmission_type(253)];", "TPDO 1: "),
+    ("RPDOS: &'static [Rpdo] = &[Rpdo::new(&[]).with_transmission_type(241)];", "RPDO 1: "),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_sync_start_value(241)];",
+        "TPDO 1: the SYNC start value must be 0 to 240",
+    ),
+    ("PRODUCERS: usize = 17;", "PRODUCERS is 17, at most 16 are possible"),
+    ("WATCHED: &'static [(u8, u16)] = &[(1, 500)];", "WATCHED: node 1 is one more than PRODUCERS"),
+    (
+        "PRODUCERS: usize = 2; const WATCHED: &'static [(u8, u16)] = &[(1, 500), (1, 900)];",
+        "WATCHED: node 1 is watched twice",
+    ),
+    (
+        "PRODUCERS: usize = 1; const WATCHED: &'static [(u8, u16)] = &[(128, 500)];",
+        "WATCHED: node 128 needs a node-ID of 1 to 127 and a time",
+    ),
+    (
+        "PRODUCERS: usize = 1; const WATCHED: &'static [(u8, u16)] = &[(1, 0)];",
+        "WATCHED: node 1 needs a node-ID of 1 to 127 and a time",
+    ),
+];
+
+/// A program with these objects and these constants of the application.
+fn program(objects: &str, communication: &str) -> String {
+    format!(
+        "#![allow(unused_imports)]
+use canopen_node::{{Application, application::*, objects, pdo::{{Rpdo, Tpdo}}}};
+objects! {{ pub struct Objects, values Value; {objects} }}
+impl Application for Objects {{ {communication} }}
+fn main() {{}}
+"
+    )
+}
+
+#[test]
+fn each_wrong_declaration_is_named_by_cargo_check() {
+    let of_objects = OBJECTS.map(|(objects, message)| (program(objects, ""), message));
+    let of_communication = COMMUNICATION
+        .map(|(constants, message)| (program(VALUES, &format!("const {constants}")), message));
+    let folder = scratch("wrong_declarations");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(folder.join("src/bin")).unwrap();
+    let library = workspace().join("libs/canopen-node");
+    fs::write(
+        folder.join("Cargo.toml"),
+        format!(
+            "[package]\nname = \"wrong\"\nedition = \"2024\"\n[workspace]\n\
+             [dependencies]\ncanopen-node = {{ path = {library:?} }}\n"
+        ),
+    )
+    .unwrap();
+    fs::copy(workspace().join("Cargo.lock"), folder.join("Cargo.lock")).unwrap();
+    let wrong: Vec<_> = of_objects.into_iter().chain(of_communication).collect();
+    let right = program(VALUES, "const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)])];");
+    for (number, (program, _)) in wrong.iter().enumerate() {
+        fs::write(folder.join(format!("src/bin/wrong{number}.rs")), program).unwrap();
+    }
+    fs::write(folder.join("src/bin/right.rs"), right).unwrap();
+    let mut check = cargo();
+    check.current_dir(&folder).env("CARGO_TARGET_DIR", scratch("wrong_declarations_target"));
+    check.args(["check", "--offline", "--keep-going", "--message-format", "short"]);
+    let said = String::from_utf8(check.output().unwrap().stderr).unwrap();
+    let errors_of = |file: &str| {
+        let place = format!("src/bin/{file}.rs:");
+        said.lines().filter(|line| line.contains(&place)).collect::<Vec<_>>().join("\n")
+    };
+    assert_eq!(errors_of("right"), "", "{said}");
+    let mut faults = String::new();
+    for (number, (program, message)) in wrong.iter().enumerate() {
+        let errors = errors_of(&format!("wrong{number}"));
+        if !errors.contains(message) {
+            writeln!(faults, "{program}should say: {message}\nbut says: {errors}\n").unwrap();
+        }
+    }
+    assert_eq!(faults, "", "{said}");
+}
