@@ -165,7 +165,7 @@ fn a_board_whose_flash_fails_at_the_start_still_has_its_settings() {
         let board = board_with_flash(&content);
         // The next two places.
         for offset in [SETTINGS_OFFSET + stuck, SETTINGS_OFFSET + stuck + PLACE as u32] {
-            let bits = StuckBits { offset, mask: 0b10, value: 0b10 };
+            let bits = StuckBits { offset, mask: 0b10_0000, value: 0b10_0000 };
             board.chip().flash_mut().add_stuck_bits(bits);
         }
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
