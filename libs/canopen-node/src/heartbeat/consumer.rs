@@ -89,7 +89,8 @@ impl<N: Numbers> Consumer<N> {
     /// Handles a frame that may be a heartbeat; passes boot-ups and heartbeats that are back to `handle`.
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant, mut handle: impl FnMut(Event)) {
         for (watch, producer) in self.watches.as_mut().iter_mut().zip(self.producers.0.as_ref()) {
-            watch.handle(producer, frame, now, &mut handle);
+            let events = watch.handle(producer, frame, now);
+            events.into_iter().flatten().for_each(&mut handle);
         }
     }
 
@@ -261,27 +262,24 @@ enum Watch {
 }
 
 impl Watch {
-    /// Handles a frame, which may be the producer's heartbeat. A boot-up is the first one (CiA 301, 7.2.8.2.2.2).
+    /// Handles a frame, which may be the producer's heartbeat, and returns what the application must know. A boot-up is
+    /// the first heartbeat (CiA 301, 7.2.8.2.2.2).
     pub fn handle(
         &mut self,
         producer: &Producer,
         frame: &Frame,
         now: Instant,
-        mut handle: impl FnMut(Event),
-    ) {
+    ) -> [Option<Event>; 2] {
         let (&[state], Some(node)) = (frame.data(), producer.node()) else {
-            return;
+            return [None; 2];
         };
         if producer.cob_id() != Some(frame.cob_id()) {
-            return;
+            return [None; 2];
         }
-        if self.is_lost() {
-            handle(Event::HeartbeatBack(node));
-        }
+        let is_back = self.is_lost();
         *self = producer.is_at(now);
-        if state == nmt::State::Initialisation as u8 {
-            handle(Event::BootUp(node));
-        }
+        let is_boot_up = state == nmt::State::Initialisation as u8;
+        [is_back.then_some(Event::HeartbeatBack(node)), is_boot_up.then_some(Event::BootUp(node))]
     }
 
     /// Whether the heartbeat begins to be missing at `now`.

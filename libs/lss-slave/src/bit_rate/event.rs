@@ -9,8 +9,9 @@ pub enum BusEvent {
     Received,
     /// A frame that the node sent was acknowledged.
     Acknowledged,
-    /// No frame of the node waits for the bus any more: all have been sent or dropped. Only a node that sends frames one
-    /// after another needs this event.
+    /// No frame of the node waits for the bus any more: all have been sent or dropped. Each node with a heartbeat, an event
+    /// timer of a TPDO or SDO block uploads needs this event: it sends the first of these frames, and waits for the event
+    /// before the next. An LSS slave alone does without.
     NonePending,
     /// A stuff, CRC or bit recessive error, or traffic that keeps the controller from joining the bus for two frame
     /// times. A missing acknowledge does not count, since no other node may be there. Nor does a bit dominant error,

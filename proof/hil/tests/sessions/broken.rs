@@ -70,6 +70,13 @@ fn a_board_that_cannot_be_brought_back_is_named_with_the_reason() {
 }
 
 #[test]
+fn a_port_that_forgets_to_report_none_pending_is_told_so() {
+    let run = run_with(Fault::OneHeartbeat, "sdo");
+    run.assert_named("a port that does not report BusEvent::NonePending");
+    run.assert_left("restored");
+}
+
+#[test]
 fn a_board_of_another_vendor_is_left_alone() {
     let run = run_with(Fault::OtherVendor, "services");
     run.assert_named("not our board: the LSS slave at 125 kbit/s has vendor-ID 000001A0");

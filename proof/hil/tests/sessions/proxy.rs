@@ -26,6 +26,8 @@ pub enum Fault {
     OtherVendor,
     /// The board restarts a second after node-ID 1 was stored, as by a power cut.
     PowerCut,
+    /// The board sends one heartbeat after a boot-up, as a port that never says that no frame is pending.
+    OneHeartbeat,
     /// The connection ends at the first 17, and at each one after it.
     Vanishes,
     /// The connection ends at the first 17.
@@ -38,6 +40,7 @@ struct State {
     requests_due: usize,
     is_silent: bool,
     has_vanished: bool,
+    has_sent_heartbeat: bool,
 }
 
 /// What becomes of a line.
@@ -160,6 +163,12 @@ fn of_answer(line: &str, fault: Fault, state: &Mutex<State>, _: &TcpStream) -> F
     }
     match fault {
         _ if state.is_silent && line.starts_with('t') => Fate::Lose,
+        Fault::OneHeartbeat if line.starts_with("t7051") => {
+            let is_boot_up = line.starts_with("t705100");
+            let is_lost = !is_boot_up && state.has_sent_heartbeat;
+            state.has_sent_heartbeat = !is_boot_up;
+            if is_lost { Fate::Lose } else { Fate::Forward }
+        }
         Fault::OtherVendor if line.starts_with("t7E485A") => {
             Fate::Change(with_vendor(line, "A0010000"))
         }
