@@ -2,14 +2,11 @@
 
 use std::{env, fs, path::PathBuf};
 
-/// The chips, by feature.
-const CHIPS: [&str; 7] =
-    ["stm32f105", "stm32f407", "stm32f767", "stm32g431", "stm32g474", "stm32h743", "stm32l476"];
-
 fn main() {
-    let is_chosen =
-        |chip: &&&str| env::var_os(format!("CARGO_FEATURE_{}", chip.to_uppercase())).is_some();
-    let chip = CHIPS.iter().find(is_chosen).expect("the feature of a chip");
+    let chip = env::vars()
+        .find_map(|(name, _)| Some(format!("stm32{}", name.strip_prefix("CARGO_FEATURE_STM32")?)))
+        .expect("the feature of a chip")
+        .to_lowercase();
     let memory = format!("{chip}.x");
     println!("cargo::rerun-if-changed={memory}");
     let output = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));

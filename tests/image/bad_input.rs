@@ -1,6 +1,10 @@
 //! The release image under adverse input: frames of any kind, damaged flash, and a bus without nodes or at the wrong
 //! rate.
 
+use std::fs;
+
+use testkit::cargo::workspace;
+
 use crate::rig::*;
 
 const LSS: Id = Id::Standard(0x7E5);
@@ -71,6 +75,22 @@ fn other_data_in_the_flash_is_erased_without_an_emergency() {
         assert_eq!(rig.lss("04 00"), ["704: 00"], "no emergency message");
         assert_eq!(rig.sdo_client(4).number(0x1001, 0), 0);
     }
+}
+
+/// A probe resets the chip by SYSRESETREQ.
+#[test]
+fn the_log_after_the_first_flash_is_the_one_that_the_page_shows() {
+    let mut board = blank_board(0);
+    board.reset(ResetCause::Software);
+    while board.now() < Time::from_s(2) {
+        board.run_until(Time::from_s(2));
+    }
+    let log = board.log().iter();
+    let logged: Vec<_> =
+        log.map(|line| format!("{:<6}{}", line.level.to_uppercase(), line.text)).collect();
+    let page = fs::read_to_string(workspace().join("docs/first-board.md")).expect("it is there");
+    let shown: Vec<_> = page.lines().filter(|line| line.starts_with("INFO  ")).collect();
+    assert_eq!(logged, shown);
 }
 
 #[test]

@@ -125,6 +125,7 @@ fn a_clock_that_is_not_that_of_the_crystal_ends_in_a_reset(part: Part) {
     };
     let mut board = board_with(part, ChipVariant::default());
     while read(&board, pllcfgr) & last == 0 {
+        assert!(board.now() < Time::from_ms(100), "the program does not set the PLL");
         board.run_until(board.now() + Time::from_ns(10));
     }
     assert_eq!(read(&board, cr) & PLLON, 0, "it is not on yet");

@@ -12,10 +12,8 @@ use embassy_futures::{
     select::{Either, select, select_array},
 };
 use embassy_stm32::{
-    bind_interrupts,
     can::{
-        Can, CanRx, CanTx, Fifo, Frame as CanFrame, Mailbox, Rx0InterruptHandler,
-        Rx1InterruptHandler, SceInterruptHandler, StandardId, TxInterruptHandler,
+        Can, CanRx, CanTx, Fifo, Frame as CanFrame, Mailbox, StandardId,
         enums::{self, TryReadError},
         filter::{ListEntry16, Mask32},
         frame::Envelope,
@@ -29,13 +27,6 @@ use crate::chip::CAN_HZ;
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const MAILBOXES: [Mailbox; 3] = [Mailbox::Mailbox0, Mailbox::Mailbox1, Mailbox::Mailbox2];
-
-bind_interrupts!(pub struct Interrupts {
-    CAN1_TX => TxInterruptHandler<peripherals::CAN1>;
-    CAN1_RX0 => Rx0InterruptHandler<peripherals::CAN1>;
-    CAN1_RX1 => Rx1InterruptHandler<peripherals::CAN1>;
-    CAN1_SCE => SceInterruptHandler<peripherals::CAN1>;
-});
 
 /// The CAN controller.
 pub struct Bxcan {
@@ -60,12 +51,7 @@ impl Bxcan {
 
 impl Controller for Bxcan {
     /// Resets the controller, as the driver waits for the end of a frame before it changes the bit rate.
-    fn start<N: Numbers>(
-        &mut self,
-        mode: Mode,
-        bit_rate: BitRate,
-        receives: &Receives<N>,
-    ) -> bool {
+    fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, receives: &Receives<N>) -> bool {
         let Some(timing) = TIMINGS[usize::from(bit_rate.index())].and_then(to_driver) else {
             return false;
         };

@@ -12,14 +12,13 @@ use canopen_node::{
 };
 use embassy_futures::poll_once;
 use embassy_stm32::{
-    Peri, bind_interrupts,
+    Peri,
     can::{
-        Can, CanConfigurator, Frame as CanFrame, IT0InterruptHandler, IT1InterruptHandler,
-        OperatingMode,
+        Can, CanConfigurator, Frame as CanFrame, OperatingMode,
         config::{GlobalFilter, NominalBitTiming, NonMatchingFilter::Reject},
         filter::{Action, ExtendedFilter, FilterType, StandardFilter},
     },
-    interrupt::typelevel::{self, Handler},
+    interrupt::typelevel::{Handler, Interrupt},
     pac::{
         FDCAN1 as REGISTERS,
         can::regs::{Psr, Txbcr},
@@ -29,7 +28,7 @@ use embassy_stm32::{
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_can::StandardId;
 
-use crate::chip::{CAN_HZ, Receive, Transmit};
+use crate::chip::{CAN_HZ, Interrupts, Receive, Transmit};
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const BUFFERS: usize = 3;
@@ -39,17 +38,12 @@ const LAST_ERROR: u32 = 0b111;
 const ACTIVITY: u32 = 0b11 << 3;
 const TRANSMITTER: u32 = 0b11 << 3;
 
-bind_interrupts!(struct Interrupts {
-    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
-    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
-});
-
 static CHANGED: AtomicWaker = AtomicWaker::new();
 
 /// Wakes the node after the driver's handler, which knows nothing of errors.
-struct Waker;
+pub struct Waker;
 
-impl Handler<typelevel::FDCAN1_IT0> for Waker {
+impl<I: Interrupt> Handler<I> for Waker {
     // SAFETY: the driver uses neither the flag nor the waker.
     unsafe fn on_interrupt() {
         REGISTERS.ir().write(|w| w.set_pea(true));
@@ -96,12 +90,7 @@ impl Fdcan {
 
 impl Controller for Fdcan {
     /// Makes a new driver, as one that runs cannot change the bit rate.
-    fn start<N: Numbers>(
-        &mut self,
-        mode: Mode,
-        bit_rate: BitRate,
-        receives: &Receives<N>,
-    ) -> bool {
+    fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, receives: &Receives<N>) -> bool {
         let Some(timing) = TIMINGS[usize::from(bit_rate.index())].and_then(to_driver) else {
             return false;
         };

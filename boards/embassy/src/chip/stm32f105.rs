@@ -2,19 +2,26 @@
 //! built.
 
 use embassy_stm32::{
-    Config, Peripherals,
-    can::Can,
+    Config, Peripherals, bind_interrupts,
+    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
     flash::{Bank1Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllSource, Sysclk},
+    pac::{DBGMCU, RCC, rcc::vals::Pllsrc},
+    peripherals::CAN1,
+    rcc::{self, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllSource, Sysclk},
     time::Hertz,
 };
 
-use crate::{
-    Parts,
-    bxcan::{Bxcan, Interrupts},
-    clock::Clock,
-};
+pub use embassy_stm32::peripherals::IWDG as Watchdog;
+
+use crate::{Parts, bxcan::Bxcan, clock::Clock};
+
+bind_interrupts!(pub struct Interrupts {
+    CAN1_TX => TxInterruptHandler<CAN1>;
+    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
+    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
+    CAN1_SCE => SceInterruptHandler<CAN1>;
+});
 
 /// The clock of the CAN controller.
 pub const CAN_HZ: u32 = 36_000_000;
@@ -31,6 +38,27 @@ pub fn clocks() -> Config {
     config.rcc.sys = Sysclk::PLL1_P;
     config.rcc.apb1_pre = APBPrescaler::DIV2;
     config
+}
+
+/// Whether the PLL makes the clocks from the crystal as configured.
+pub fn is_in_use(config: &rcc::Config) -> bool {
+    let (set, dividers) = (RCC.cfgr().read(), RCC.cfgr2().read());
+    set.sws() == config.sys
+        && set.pllsrc() == Pllsrc::HSE_DIV_PREDIV
+        && config.pll.is_some_and(|pll| (set.pllmul(), dividers.prediv1()) == (pll.mul, pll.prediv))
+}
+
+/// Lets the watchdog and the timer of embassy's clock stand still while a debugger halts the core.
+pub fn freeze_in_a_halt() {
+    DBGMCU.cr().modify(|w| {
+        w.set_iwdg(true);
+        w.set_tim4(true);
+    });
+}
+
+/// The flash has no error-correcting code.
+pub fn clear_double_error() -> bool {
+    false
 }
 
 /// The peripherals that the node uses.

@@ -1,22 +1,29 @@
 //! The board STM32F407G-DISC1 with its crystal of 8 MHz: clocks, pins, and the place of the settings.
 
 use embassy_stm32::{
-    Config, Peripherals,
-    can::Can,
+    Config, Peripherals, bind_interrupts,
+    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
     flash::{Bank1Region1, Blocking, Flash},
     gpio::{Level, Output, Speed},
+    pac::{DBGMCU, RCC},
+    peripherals::CAN1,
     rcc::{
-        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
+        self, AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
         Sysclk,
     },
     time::Hertz,
 };
 
-use crate::{
-    Parts,
-    bxcan::{Bxcan, Interrupts},
-    clock::Clock,
-};
+pub use embassy_stm32::peripherals::IWDG as Watchdog;
+
+use crate::{Parts, bxcan::Bxcan, clock::Clock};
+
+bind_interrupts!(pub struct Interrupts {
+    CAN1_TX => TxInterruptHandler<CAN1>;
+    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
+    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
+    CAN1_SCE => SceInterruptHandler<CAN1>;
+});
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 40_000_000;
@@ -42,6 +49,29 @@ pub fn clocks() -> Config {
     config.rcc.apb1_pre = APBPrescaler::DIV4;
     config.rcc.apb2_pre = APBPrescaler::DIV2;
     config
+}
+
+/// Whether the PLL makes the clocks from the crystal as configured.
+pub fn is_in_use(config: &rcc::Config) -> bool {
+    let set = RCC.pllcfgr().read();
+    RCC.cfgr().read().sws() == config.sys
+        && set.pllsrc() == config.pll_src
+        && config.pll.is_some_and(|pll| {
+            (set.pllm(), set.plln(), Some(set.pllp())) == (pll.prediv, pll.mul, pll.divp)
+        })
+}
+
+/// Lets the watchdog and the timer of embassy's clock stand still while a debugger halts the core.
+pub fn freeze_in_a_halt() {
+    DBGMCU.apb1fzr().modify(|w| {
+        w.set_iwdg(true);
+        w.set_tim12(true);
+    });
+}
+
+/// The flash has no error-correcting code.
+pub fn clear_double_error() -> bool {
+    false
 }
 
 /// The peripherals that the node uses.

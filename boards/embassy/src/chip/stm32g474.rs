@@ -1,15 +1,28 @@
 //! The board NUCLEO-G474RE with its crystal of 24 MHz: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
-    Config, Peripherals,
+    Config, Peripherals, bind_interrupts,
+    can::{IT0InterruptHandler, IT1InterruptHandler},
     flash::{Bank2Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    peripherals::{PA11, PA12},
-    rcc::{Hse, HseMode, Pll, PllMul, PllPreDiv, PllQDiv, PllRDiv, PllSource, Sysclk, mux},
+    pac::{DBGMCU, FLASH, RCC},
+    peripherals::{FDCAN1, PA11, PA12},
+    rcc::{self, Hse, HseMode, Pll, PllMul, PllPreDiv, PllQDiv, PllRDiv, PllSource, Sysclk, mux},
     time::Hertz,
 };
 
-use crate::{Parts, clock::Clock, fdcan::Fdcan};
+pub use embassy_stm32::peripherals::IWDG as Watchdog;
+
+use crate::{
+    Parts,
+    clock::Clock,
+    fdcan::{Fdcan, Waker},
+};
+
+bind_interrupts!(pub struct Interrupts {
+    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
+    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
+});
 
 /// The pins of the CAN controller. PB8 would be BOOT0, which a transceiver holds high at each reset.
 pub type Receive = PA11;
@@ -38,6 +51,32 @@ pub fn clocks() -> Config {
     config.rcc.sys = Sysclk::PLL1_R;
     config.rcc.mux.fdcansel = mux::Fdcansel::PLL1_Q;
     config
+}
+
+/// Whether the PLL makes the clocks from the crystal as configured.
+pub fn is_in_use(config: &rcc::Config) -> bool {
+    let set = RCC.pllcfgr().read();
+    RCC.cfgr().read().sws() == config.sys
+        && RCC.ccipr().read().fdcansel() == config.mux.fdcansel
+        && config.pll.is_some_and(|pll| {
+            (set.pllsrc(), set.pllm(), set.plln()) == (pll.source, pll.prediv, pll.mul)
+                && (Some(set.pllq()), Some(set.pllr())) == (pll.divq, pll.divr)
+        })
+}
+
+/// Lets the watchdog and the timer of embassy's clock stand still while a debugger halts the core.
+pub fn freeze_in_a_halt() {
+    DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
+    DBGMCU.apb2fzr().modify(|w| w.set_tim15(true));
+}
+
+/// Clears the flag of a double error in the flash. Returns whether it was set.
+pub fn clear_double_error() -> bool {
+    /// ECCD, and ECCD2 if the flash is one bank of 128 bits.
+    const DOUBLE_ERRORS: u32 = 1 << 31 | 1 << 29;
+    let found = FLASH.eccr().read();
+    FLASH.eccr().write_value(found);
+    found.0 & DOUBLE_ERRORS != 0
 }
 
 /// The peripherals that the node uses.

@@ -4,12 +4,14 @@ use core::arch::asm;
 
 use cortex_m::peripheral::SCB;
 use embassy_stm32::{
-    Config, Peripherals,
+    Config, Peripherals, bind_interrupts,
+    can::{IT0InterruptHandler, IT1InterruptHandler},
     flash::{self, Bank2Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    peripherals::{PB8, PB9},
+    pac::{DBGMCU, RCC},
+    peripherals::{FDCAN1, PB8, PB9},
     rcc::{
-        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource,
+        self, AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource,
         Sysclk, mux,
     },
     time::Hertz,
@@ -17,9 +19,20 @@ use embassy_stm32::{
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
-use crate::{Parts, clock::Clock, fdcan::Fdcan};
+pub use embassy_stm32::peripherals::IWDG1 as Watchdog;
+
+use crate::{
+    Parts,
+    clock::Clock,
+    fdcan::{Fdcan, Waker},
+};
 
 type Region = Bank2Region<'static, Blocking>;
+
+bind_interrupts!(pub struct Interrupts {
+    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
+    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
+});
 
 /// The pins of the CAN controller.
 pub type Receive = PB8;
@@ -53,6 +66,27 @@ pub fn clocks() -> Config {
     config.rcc.apb4_pre = APBPrescaler::DIV2;
     config.rcc.mux.fdcansel = mux::Fdcansel::PLL1_Q;
     config
+}
+
+/// Whether the PLL makes the clocks from the crystal as configured.
+pub fn is_in_use(config: &rcc::Config) -> bool {
+    let (source, set) = (RCC.pllckselr().read(), RCC.plldivr(0).read());
+    RCC.cfgr().read().sws() == config.sys
+        && config.pll1.is_some_and(|pll| {
+            (source.pllsrc(), source.divm(0), set.plln()) == (pll.source, pll.prediv, pll.mul)
+                && (Some(set.pllp()), Some(set.pllq())) == (pll.divp, pll.divq)
+        })
+}
+
+/// Lets the watchdog and the timer of embassy's clock stand still while a debugger halts the core.
+pub fn freeze_in_a_halt() {
+    DBGMCU.apb4fzr1().modify(|w| w.set_iwdg1(true));
+    DBGMCU.apb1lfzr1().modify(|w| w.set_tim12(true));
+}
+
+/// It would be a bus fault: see [`SettingsFlash`].
+pub fn clear_double_error() -> bool {
+    false
 }
 
 /// The peripherals that the node uses.

@@ -1,19 +1,26 @@
 //! The board NUCLEO-L476RG with the 8 MHz of its ST-LINK: clocks, pins, and the place of the settings. It is only built.
 
 use embassy_stm32::{
-    Config, Peripherals,
-    can::Can,
+    Config, Peripherals, bind_interrupts,
+    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
     flash::{Bank1Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
-    rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk},
+    pac::{DBGMCU, FLASH, RCC},
+    peripherals::CAN1,
+    rcc::{self, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk},
     time::Hertz,
 };
 
-use crate::{
-    Parts,
-    bxcan::{Bxcan, Interrupts},
-    clock::Clock,
-};
+pub use embassy_stm32::peripherals::IWDG as Watchdog;
+
+use crate::{Parts, bxcan::Bxcan, clock::Clock};
+
+bind_interrupts!(pub struct Interrupts {
+    CAN1_TX => TxInterruptHandler<CAN1>;
+    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
+    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
+    CAN1_SCE => SceInterruptHandler<CAN1>;
+});
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 40_000_000;
@@ -37,6 +44,29 @@ pub fn clocks() -> Config {
     config.rcc.sys = Sysclk::PLL1_R;
     config.rcc.apb1_pre = APBPrescaler::DIV2;
     config
+}
+
+/// Whether the PLL makes the clocks from the crystal as configured.
+pub fn is_in_use(config: &rcc::Config) -> bool {
+    let set = RCC.pllcfgr().read();
+    RCC.cfgr().read().sws() == config.sys
+        && config.pll.is_some_and(|pll| {
+            (set.pllsrc(), set.pllm(), set.plln()) == (pll.source, pll.prediv, pll.mul)
+                && Some(set.pllr()) == pll.divr
+        })
+}
+
+/// Lets the watchdog and the timer of embassy's clock stand still while a debugger halts the core.
+pub fn freeze_in_a_halt() {
+    DBGMCU.apb1fzr1().modify(|w| w.set_iwdg(true));
+    DBGMCU.apb2fzr().modify(|w| w.set_tim15(true));
+}
+
+/// Clears the flag of a double error in the flash. Returns whether it was set.
+pub fn clear_double_error() -> bool {
+    let found = FLASH.eccr().read();
+    FLASH.eccr().write_value(found);
+    found.eccd()
 }
 
 /// The peripherals that the node uses.
