@@ -2,7 +2,10 @@
 
 use canopen_node::BitRate;
 
-use crate::emulated::{Boards, address_text};
+use crate::{
+    emulated::{Boards, address_text},
+    in_process::Wire,
+};
 
 const RATE: BitRate = BitRate::Kbit125;
 
@@ -167,5 +170,17 @@ fn ctrl_c_in_a_list_leaves_no_board_in_configuration_state() {
         let outcome = boards.lss("list");
         assert_eq!(outcome.code, 130, "frame {number} of {}", count.get());
         boards.assert_waiting(RATE);
+    }
+}
+
+#[test]
+fn a_list_bears_heartbeats_between_a_question_and_its_answer() {
+    // Rare enough that the master does not expect them.
+    for heartbeat_ms in (60..240).step_by(12) {
+        let wire = Wire::with_heartbeat(RATE, &[1, 0xFF, 0xFF], heartbeat_ms);
+        let outcome = wire.lss("list");
+        let expected = (0, 4);
+        assert_eq!((outcome.code, outcome.text.lines().count()), expected, "{heartbeat_ms} ms");
+        wire.assert_waiting();
     }
 }
