@@ -376,16 +376,24 @@ fn a_board_among_many_missing_ones_is_found() {
 
 #[test]
 fn a_new_board_is_moved_when_another_one_came_with_its_node_id() {
-    let wire = Wire::new(RATE, &[0xFF, 1]);
-    wire.record().may_collide = true;
-    wire.pull_out(1);
-    wire.bus().slaves[0].defect = Some(Defect::IsJoinedAtReset(1));
-    let outcome = wire.lss("assign");
-    assert_eq!(outcome.code, 0, "{}", outcome.error);
-    assert!(outcome.text.contains("another board came with node-ID 1\n"), "{}", outcome.text);
-    wire.record().may_collide = false;
-    wire.power_cycle();
-    assert_eq!(wire.ids(), [2, 1].map(|id| (Some(id), Some(id))));
+    let table = new_file("moved.toml");
+    // The table gives it the node-ID that the other one has.
+    let told = "another board has node-ID 1, which the table gives to";
+    for (options, code, error) in
+        [(String::new(), 0, ""), (format!("--table {}", table.display()), 1, told)]
+    {
+        let wire = Wire::new(RATE, &[0xFF, 1]);
+        wire.record().may_collide = true;
+        wire.pull_out(1);
+        wire.bus().slaves[0].defect = Some(Defect::IsJoinedAtReset(1));
+        let outcome = wire.lss(&format!("assign {options}"));
+        assert_eq!(outcome.code, code, "{}", outcome.error);
+        assert!(outcome.error.starts_with(error), "{}", outcome.error);
+        assert!(outcome.text.contains("another board came with node-ID 1\n"), "{}", outcome.text);
+        wire.record().may_collide = false;
+        wire.power_cycle();
+        assert_eq!(wire.ids(), [2, 1].map(|id| (Some(id), Some(id))));
+    }
 }
 
 #[test]

@@ -1,10 +1,14 @@
 //! `lss find` and `lss list`.
 
+use std::fs;
+
 use canopen_node::BitRate;
+use serde_json::Value;
+use testkit::cargo;
 
 use crate::{
     emulated::{Boards, address_text},
-    in_process::Wire,
+    in_process::{self, Wire},
 };
 
 const RATE: BitRate = BitRate::Kbit125;
@@ -109,6 +113,34 @@ fn a_list_as_json_has_the_bit_rate_and_all_nodes() {
     assert_eq!(json["nodes"][0]["name"], "LSS slave");
     assert_eq!(json["nodes"][1]["node_id"], serde_json::Value::Null);
     assert_eq!(json["nodes"][1]["lss_address"], address_text(1));
+}
+
+#[test]
+fn the_page_has_each_key_of_the_json() {
+    let page = fs::read_to_string(cargo::workspace().join("docs/commission.md")).expect("a page");
+    let block = page.split("```json").nth(1).and_then(|rest| rest.split("```").next());
+    let json = |text: &str| serde_json::from_str::<Value>(text).expect("JSON");
+    let keys = |value: &Value| -> Vec<String> {
+        value.as_object().into_iter().flatten().map(|(key, _)| key.clone()).collect()
+    };
+    let wire = Wire::new(RATE, &[5]);
+    let (example, list) = (json(block.expect("an example")), json(&wire.lss("list --json").text));
+    assert_eq!(keys(&example), keys(&list));
+    assert_eq!(keys(&example["nodes"][0]), keys(&list["nodes"][0]));
+    let file = cargo::scratch("json.toml");
+    let sheet = cargo::workspace().join("eds/io.eds");
+    let address = in_process::address_text(0);
+    let node = format!("[[node]]\nid = 6\naddress = \"{address}\"\neds = {sheet:?}\n");
+    let text = node + "[node.values]\n2100 = 4\n";
+    fs::write(&file, text).expect("it can be written");
+    let plan = json(&wire.lss(&format!("apply {} --plan --json", file.display())).text);
+    let node = &plan["nodes"][0];
+    for part in [&plan, node, &node["node_id"], &node["values"][0]] {
+        assert!(!keys(part).is_empty());
+        for key in keys(part) {
+            assert!(page.contains(&format!("`{key}`")), "{key}");
+        }
+    }
 }
 
 #[test]
