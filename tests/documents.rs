@@ -143,6 +143,13 @@ fn every_command_of_the_project_that_a_document_names_exists() {
 }
 
 #[test]
+fn the_readme_names_the_emulator_before_the_first_adapter() {
+    let readme = fs::read_to_string(workspace().join("README.md")).expect("it is there");
+    let at = |words: &str| readme.find(words).expect("it is named");
+    assert!(at("cargo emulate") < at("/dev/ttyACM0"));
+}
+
+#[test]
 fn the_index_of_cases_and_tests_is_that_of_the_code() {
     let (page, made) = conformance::index::pages(workspace()).expect("the sources");
     assert!(page == made, "cargo verify conformance --index writes it");

@@ -3,15 +3,17 @@
 
 #[cfg(feature = "adapter")]
 mod adapter;
+mod defect;
+mod slave;
 
 use std::{
     collections::{BTreeMap, VecDeque},
     convert::Infallible,
-    ops::Range,
 };
 
 use canopen_node::{
-    BitRate, BusEvent, Frame, Instant,
+    Application, BitRate, BusEvent, Frame, Instant,
+    application::NoApplication,
     lss::{self, REQUEST_COB_ID, RESPONSE_COB_ID},
 };
 use lss_master::{Error, Master, Procedure};
@@ -20,59 +22,14 @@ use crate::{node_rig::NodeRig, random::Random};
 
 #[cfg(feature = "adapter")]
 pub use adapter::BusAdapter;
+pub use defect::Defect;
+pub use slave::{Habits, Happening, Slave};
 
 /// No time that comes.
 const NEVER: u64 = u64::MAX;
 /// The bits of a frame without data, intermission included, and of a byte; with half of the most stuff bits.
 const FRAME_BITS: u64 = 51;
 const BYTE_BITS: u64 = 9;
-
-/// How a slave treats LSS requests. Times are in microseconds.
-#[derive(Clone, Debug)]
-pub struct Habits {
-    /// The time to an answer.
-    pub answer_us: Range<u64>,
-    /// The time between two looks at the one frame that it holds; others that come until then are lost. 0: it takes
-    /// each frame at once.
-    pub poll_us: u64,
-    /// Whether it misses a request that comes in the time to the answer to the last one.
-    pub loses_requests: bool,
-    /// The number of the tool's frames after which it has no connection.
-    pub leaves_after: u64,
-    /// The command specifiers that it does not know.
-    pub without: &'static [u8],
-    /// The time to the same answer once more; 0: none.
-    pub again_us: u64,
-    /// The time that a store takes.
-    pub store_us: u64,
-    /// The NMT state in its boot-up message; 0 is right.
-    pub boot_up: u8,
-    /// The time to any frame but an LSS answer; empty: none.
-    pub other_us: Range<u64>,
-    /// Whether it answers each question of Fastscan and of identify remote slave.
-    pub claims_all: bool,
-    /// The bytes of its LSS answers; 8 are right.
-    pub answer_bytes: usize,
-}
-
-impl Default for Habits {
-    /// Those of a board of ours.
-    fn default() -> Self {
-        Self {
-            answer_us: 100..300,
-            poll_us: 0,
-            loses_requests: false,
-            leaves_after: u64::MAX,
-            without: &[],
-            again_us: 0,
-            store_us: 1_000,
-            boot_up: 0,
-            other_us: 0..0,
-            claims_all: false,
-            answer_bytes: 8,
-        }
-    }
-}
 
 /// What happens to frames; each is a probability of 1 in so many, 0: never.
 #[derive(Clone, Copy, Debug, Default)]
@@ -84,33 +41,6 @@ pub struct Faults {
     /// An LSS answer is late by up to so many microseconds.
     pub late: u64,
     pub late_us: u64,
-}
-
-/// Something that happens to a slave.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Happening {
-    PowerOff,
-    PowerOn,
-    /// It loses the connection to the bus, and its power stays.
-    PullOut,
-    PlugIn,
-}
-
-/// A slave on the bus.
-pub struct Slave {
-    pub rig: NodeRig,
-    pub habits: Habits,
-    pub is_powered: bool,
-    pub is_connected: bool,
-    /// The frame that waits for the next look.
-    held: Option<(u64, Frame)>,
-    /// The end of the store in progress.
-    stored_at: u64,
-    last_answer: u64,
-    /// The time of the answer to the last request, if it has one.
-    ready_at: u64,
-    /// The time of the next call.
-    due: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,8 +59,8 @@ struct Flight {
 }
 
 /// The bus.
-pub struct SlaveBus {
-    pub slaves: Vec<Slave>,
+pub struct SlaveBus<A: Application = NoApplication> {
+    pub slaves: Vec<Slave<A>>,
     pub faults: Faults,
     /// The number of frames that the tool has sent.
     pub requests: u64,
@@ -152,8 +82,8 @@ pub struct SlaveBus {
     is_unacknowledged: bool,
 }
 
-impl SlaveBus {
-    pub fn new(slaves: impl IntoIterator<Item = (NodeRig, Habits)>, random: Random) -> Self {
+impl<A: Application + Clone> SlaveBus<A> {
+    pub fn new(slaves: impl IntoIterator<Item = (NodeRig<A>, Habits)>, random: Random) -> Self {
         let mut bus = Self {
             slaves: Vec::new(),
             faults: Faults::default(),
@@ -172,20 +102,7 @@ impl SlaveBus {
             received: VecDeque::new(),
             is_unacknowledged: false,
         };
-        for (mut rig, habits) in slaves {
-            rig.let_stores_take_time();
-            bus.slaves.push(Slave {
-                rig,
-                habits,
-                is_powered: true,
-                is_connected: true,
-                held: None,
-                stored_at: NEVER,
-                last_answer: 0,
-                ready_at: 0,
-                due: 0,
-            });
-        }
+        bus.slaves.extend(slaves.into_iter().map(|(rig, habits)| Slave::new(rig, habits)));
         (0..bus.slaves.len()).for_each(|number| bus.collect(number));
         bus
     }
@@ -281,12 +198,24 @@ impl SlaveBus {
     pub fn in_configuration(&mut self) -> usize {
         // The last request may still be under way.
         self.pass_us(10_000);
-        let is_in_configuration = |slave: &mut Slave| {
-            let is_in_it = slave.rig.is_in_configuration_state();
-            slave.rig.take_actions();
-            is_in_it
-        };
-        self.slaves.iter_mut().map(is_in_configuration).filter(|is_in_it| *is_in_it).count()
+        let numbers = 0..self.slaves.len();
+        let is_in_it =
+            |number: &usize| self.beside_bus(*number, NodeRig::is_in_configuration_state);
+        numbers.filter(is_in_it).count()
+    }
+
+    /// Does something with a slave beside the bus, on which nothing is sent for it.
+    pub fn beside_bus<T>(&mut self, number: usize, work: impl FnOnce(&mut NodeRig<A>) -> T) -> T {
+        let slave = &mut self.slaves[number];
+        if slave.is_powered {
+            slave.catch_up(self.now);
+            self.collect(number);
+        }
+        let rig = &mut self.slaves[number].rig;
+        let outcome = work(rig);
+        rig.take_actions();
+        self.collect(number);
+        outcome
     }
 
     fn next_slave(&self) -> Option<(u64, usize)> {
@@ -357,7 +286,7 @@ impl SlaveBus {
             let receives = slave.rig.node.receives();
             if slave.rig.bit_rate() != rate {
                 if receives.all {
-                    slave.rig.pass_us(end.saturating_sub(slave.rig.now()));
+                    slave.catch_up(end);
                     slave.rig.see(BusEvent::Error);
                     self.collect(number);
                 }
@@ -385,6 +314,9 @@ impl SlaveBus {
     }
 
     fn deliver(&mut self, number: usize, frame: &Frame) {
+        if self.misbehaves(number, frame) {
+            return;
+        }
         let now = self.now;
         let slave = &mut self.slaves[number];
         let is_lss = frame.cob_id() == REQUEST_COB_ID;
@@ -417,7 +349,7 @@ impl SlaveBus {
 
     fn hand_over(&mut self, number: usize, frame: &Frame) {
         let slave = &mut self.slaves[number];
-        slave.rig.pass_us(self.now.saturating_sub(slave.rig.now()));
+        slave.catch_up(self.now);
         if slave.rig.node.receives().all {
             slave.rig.report(BusEvent::Received);
         }
@@ -434,7 +366,7 @@ impl SlaveBus {
             self.hand_over(number, &frame);
         }
         let slave = &mut self.slaves[number];
-        slave.rig.pass_us(now.saturating_sub(slave.rig.now()));
+        slave.catch_up(now);
         if slave.stored_at <= now {
             slave.stored_at = NEVER;
             if slave.rig.is_storing() {
@@ -449,6 +381,7 @@ impl SlaveBus {
         let now = self.now;
         let slave = &mut self.slaves[number];
         let Habits { boot_up, answer_bytes, .. } = slave.habits;
+        let defect = &mut slave.defect;
         let sent: Vec<Frame> = slave
             .rig
             .take_actions()
@@ -460,6 +393,10 @@ impl SlaveBus {
                     _ => Some(frame),
                 },
                 _ => None,
+            })
+            .filter_map(|frame| match defect {
+                Some(defect) => defect.alters(frame),
+                None => Some(frame),
             })
             .collect();
         if slave.rig.is_storing() && slave.stored_at == NEVER {
@@ -492,7 +429,8 @@ impl SlaveBus {
         }
     }
 
-    fn happen(&mut self, number: usize, happening: Happening) {
+    /// Lets something happen to a slave at once.
+    pub fn happen(&mut self, number: usize, happening: Happening) {
         let now = self.now;
         let slave = &mut self.slaves[number];
         match happening {
@@ -504,7 +442,7 @@ impl SlaveBus {
                 self.waiting.retain(|_, (source, _)| *source != Source::Slave(number));
             }
             Happening::PowerOn => {
-                slave.rig.pass_us(now.saturating_sub(slave.rig.now()));
+                slave.catch_up(now);
                 slave.rig.take_actions();
                 slave.rig.power_cycle();
                 slave.is_powered = true;
@@ -514,7 +452,7 @@ impl SlaveBus {
     }
 }
 
-impl lss_master::Bus for SlaveBus {
+impl<A: Application + Clone> lss_master::Bus for SlaveBus<A> {
     type Error = Infallible;
 
     fn now(&self) -> Instant {

@@ -324,6 +324,24 @@ mod tests {
     }
 
     #[test]
+    fn an_answer_that_comes_late_is_not_that_to_the_next_question() {
+        let question = |bytes: [u8; 8]| What::Sent(Frame::new(0x7E5, &bytes).expect("a frame"));
+        let answer = |bytes: [u8; 8]| What::Received(Frame::new(0x7E4, &bytes).expect("a frame"));
+        let confirmed = [0x4F, 0, 0, 0, 0, 0, 0, 0];
+        let frames = [
+            question([0x51, 0x1D, 0x10, 0, 0, 0, 3, 0]),
+            answer(confirmed),
+            question([0x5D, 0, 0, 0, 0, 0, 0, 0]),
+            answer(confirmed),
+            answer([0x5D, 0x1D, 0x10, 0, 0, 0, 0, 0]),
+        ];
+        let entry = |what| Entry { at: Duration::ZERO, what };
+        let entries: Vec<Entry> = frames.into_iter().map(entry).collect();
+        let caption = Caption { title: String::new(), line: String::new(), failure: None };
+        assert!(draw(&entries, &caption).contains("serial number 0000101D"));
+    }
+
+    #[test]
     fn a_long_text_has_lines() {
         let words = "word ".repeat(100);
         assert!(wrap(&words).iter().all(|line| line.len() <= LINE));

@@ -10,23 +10,28 @@ use can_bus::{
     adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
     stop::Stop,
 };
-use canopen_node::{BitRate, Frame};
+use canopen_node::{Application, BitRate, Frame, application::NoApplication};
 
 use super::{SlaveBus, Source};
 
 /// The adapter, and a handle to its bus.
-#[derive(Clone)]
-pub struct BusAdapter {
-    bus: Rc<RefCell<SlaveBus>>,
+pub struct BusAdapter<A: Application = NoApplication> {
+    bus: Rc<RefCell<SlaveBus<A>>>,
     start: Instant,
 }
 
-impl BusAdapter {
-    pub fn new(bus: SlaveBus) -> Self {
+impl<A: Application> Clone for BusAdapter<A> {
+    fn clone(&self) -> Self {
+        Self { bus: Rc::clone(&self.bus), start: self.start }
+    }
+}
+
+impl<A: Application + Clone> BusAdapter<A> {
+    pub fn new(bus: SlaveBus<A>) -> Self {
         Self { bus: Rc::new(RefCell::new(bus)), start: Instant::now() }
     }
 
-    pub fn bus(&self) -> RefMut<'_, SlaveBus> {
+    pub fn bus(&self) -> RefMut<'_, SlaveBus<A>> {
         self.bus.borrow_mut()
     }
 
@@ -35,7 +40,7 @@ impl BusAdapter {
     }
 }
 
-impl Adapter for BusAdapter {
+impl<A: Application + Clone> Adapter for BusAdapter<A> {
     fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
         self.bus().open(rate, mode == Mode::Normal);
         Ok(())

@@ -19,21 +19,33 @@ pub fn is_anyone_without_fastscan(session: &mut Session<'_>) -> Result<bool, Fai
 
 /// The same after a scan that has found boards, whose answer times are known.
 pub fn is_another_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
-    session.carry_out(Probe(Request::IdentifyNonConfigured))
+    session.carry_out(Probe { request: Request::IdentifyNonConfigured, caution: 1, is_sent: false })
 }
 
-/// A request to which silence is an answer.
-struct Probe(Request);
+/// A request to which silence is an answer, and how little it is trusted.
+struct Probe {
+    request: Request,
+    caution: u8,
+    is_sent: bool,
+}
 
 impl Procedure for Probe {
     type Output = bool;
 
     fn begin(&mut self) -> Step<bool> {
-        Step::probe(self.0)
+        if let Some(caution) = self.caution.checked_sub(1) {
+            self.caution = caution;
+            return Step::SlowDown;
+        }
+        self.is_sent = true;
+        Step::probe(self.request)
     }
 
     fn next(&mut self, outcome: Outcome) -> Step<bool> {
-        Step::Done(outcome.map(|answer| answer.is_some()))
+        match self.is_sent {
+            true => Step::Done(outcome.map(|answer| answer.is_some())),
+            false => self.begin(),
+        }
     }
 }
 
@@ -49,7 +61,9 @@ pub fn blank(session: &mut Session<'_>) -> Result<Vec<Address>, Failure> {
         let before = found.len();
         let mut more = Vec::new();
         gather(session, &mut found)?;
-        let is_consistent = scan(session, [0; 4], AddressPart::VendorId, &mut more)?;
+        // Frames of others may have delayed answers.
+        let mut scan = Scan { session, caution: contradictions };
+        let is_consistent = scan.find([0; 4], AddressPart::VendorId, &mut more)?;
         more.retain(|address| !found.contains(address));
         if is_consistent && more.is_empty() {
             return Ok(found);
@@ -95,62 +109,6 @@ fn join(session: &mut Session<'_>, address: &Address) -> Result<bool, Failure> {
     }
 }
 
-/// Finds the boards whose parts before `part` are the `known` ones; false if the answers contradict each other.
-fn scan(
-    session: &mut Session<'_>,
-    mut known: [u32; 4],
-    part: AddressPart,
-    found: &mut Vec<Address>,
-) -> Result<bool, Failure> {
-    // Silence in the beginning ends the search: it is asked for twice.
-    if !fastscan(session, 0, BEGIN, 0, 0)? && !fastscan(session, 0, BEGIN, 0, 0)? {
-        return Ok(part == AddressPart::VendorId);
-    }
-    for before in (0..part as u8).filter_map(AddressPart::new) {
-        let next = before as u8 + 1;
-        if !fastscan(session, known[before as usize], 0, before as u8, next)? {
-            return Ok(false);
-        }
-    }
-    let mut numbers = Vec::new();
-    branch(session, part, 0, 31, found.len(), &mut numbers)?;
-    // Each of them leads to a board, or the scan ends.
-    for number in &numbers {
-        known[part as usize] = *number;
-        match AddressPart::new(part as u8 + 1) {
-            Some(next) if !scan(session, known, next, found)? => return Ok(false),
-            Some(_) => {}
-            None => found.push(known.into()),
-        }
-    }
-    Ok(!numbers.is_empty())
-}
-
-/// Finds the numbers of a part whose bits above `bit` are those of `number`.
-fn branch(
-    session: &mut Session<'_>,
-    part: AddressPart,
-    number: u32,
-    bit: u8,
-    known: usize,
-    numbers: &mut Vec<u32>,
-) -> Result<(), Failure> {
-    session.progress.say(|| format!("Fastscan: {} boards so far, {part:?}", known + numbers.len()));
-    for number in [number, number | 1 << bit] {
-        if !fastscan(session, number, bit, part as u8, part as u8)? {
-            continue;
-        }
-        match bit.checked_sub(1) {
-            Some(bit) => branch(session, part, number, bit, known, numbers)?,
-            None => {
-                numbers.push(number);
-                check_count(known + numbers.len(), "Fastscan")?;
-            }
-        }
-    }
-    Ok(())
-}
-
 /// More boards than a network has are a contradiction: a search for them would not end.
 pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
     match count > MOST {
@@ -162,13 +120,78 @@ pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
     }
 }
 
-fn fastscan(
-    session: &mut Session<'_>,
-    id_number: u32,
-    bit_check: u8,
-    sub: u8,
-    next: u8,
-) -> Result<bool, Failure> {
-    let step = FastscanStep { id_number, bit_check, sub, next };
-    session.carry_out(Probe(Request::Fastscan(step)))
+/// A Fastscan, and how little it trusts silence.
+struct Scan<'s, 'a> {
+    session: &'s mut Session<'a>,
+    caution: u8,
+}
+
+impl Scan<'_, '_> {
+    /// Finds the boards whose parts before `part` are the `known` ones; false if the answers contradict each other.
+    fn find(
+        &mut self,
+        mut known: [u32; 4],
+        part: AddressPart,
+        found: &mut Vec<Address>,
+    ) -> Result<bool, Failure> {
+        // Silence in the beginning ends the search.
+        if !self.ask(0, BEGIN, [0, 0], self.caution.max(1))? {
+            return Ok(part == AddressPart::VendorId);
+        }
+        for before in 0..part as u8 {
+            let number = known[usize::from(before)];
+            if !self.ask(number, 0, [before, before + 1], self.caution)? {
+                return Ok(false);
+            }
+        }
+        let mut numbers = Vec::new();
+        self.branch(part, 0, 31, found.len(), &mut numbers)?;
+        // Each of them leads to a board, or the scan ends.
+        for number in &numbers {
+            known[part as usize] = *number;
+            match AddressPart::new(part as u8 + 1) {
+                Some(next) if !self.find(known, next, found)? => return Ok(false),
+                Some(_) => {}
+                None => found.push(known.into()),
+            }
+        }
+        Ok(!numbers.is_empty())
+    }
+
+    /// Finds the numbers of a part whose bits above `bit` are those of `number`.
+    fn branch(
+        &mut self,
+        part: AddressPart,
+        number: u32,
+        bit: u8,
+        known: usize,
+        numbers: &mut Vec<u32>,
+    ) -> Result<(), Failure> {
+        let count = known + numbers.len();
+        self.session.progress.say(|| format!("Fastscan: {count} boards so far, {part:?}"));
+        for number in [number, number | 1 << bit] {
+            if !self.ask(number, bit, [part as u8; 2], self.caution)? {
+                continue;
+            }
+            match bit.checked_sub(1) {
+                Some(bit) => self.branch(part, number, bit, known, numbers)?,
+                None => {
+                    numbers.push(number);
+                    check_count(known + numbers.len(), "Fastscan")?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn ask(
+        &mut self,
+        id_number: u32,
+        bit_check: u8,
+        [sub, next]: [u8; 2],
+        caution: u8,
+    ) -> Result<bool, Failure> {
+        let request = Request::Fastscan(FastscanStep { id_number, bit_check, sub, next });
+        self.session.carry_out(Probe { request, caution, is_sent: false })
+    }
 }

@@ -312,7 +312,9 @@ impl History {
         };
         let board = &mut self.boards[one];
         board.lane.frames.push((at, false));
-        let Some((request, from)) = self.open.take() else { return };
+        // An answer to an earlier request may come late.
+        let is_answered = |(request, _): &mut (Request, _)| request.to_bytes()[0] == specifier;
+        let Some((request, from)) = self.open.take_if(is_answered) else { return };
         let first = rest.first().copied().unwrap_or_default();
         if first != 0 && matches!(specifier, 0x11 | 0x13 | 0x17) {
             let answer = [specifier, first, 0, 0, 0, 0, 0, 0];

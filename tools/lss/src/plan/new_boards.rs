@@ -268,6 +268,9 @@ impl Work {
             is_moved |= self.give(session, (other, address), Some(id), None)?;
             // The other one has it.
             self.node_ids.note(id.get());
+            if self.table.is_some() {
+                self.done.note(session, id, address, Fate::Taken)?;
+            }
         }
         let nodes = if is_moved { nodes::nodes(session)? } else { nodes };
         for (id, numbers) in nodes.into_iter().filter(|(_, numbers)| numbers.len() > 1) {

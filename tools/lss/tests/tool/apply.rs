@@ -9,7 +9,7 @@ use std::{
 };
 
 use canopen_node::BitRate;
-use testkit::{cargo, image::Firmware};
+use testkit::{cargo, image::Firmware, slave_bus::Defect};
 
 use crate::{
     assign::entry,
@@ -159,16 +159,16 @@ fn boards_exchange_their_node_ids_and_never_share_one() {
     let found = [5, 6, 7, 8, 9, 10, 11];
     let wanted = [6, 5, 8, 9, 7, 11, 12];
     let table: String = (0..7).map(|board| node(wanted[board], board)).collect();
-    for refused in [None, Some([0x11, 0xFF])] {
+    for defect in [None, Some(Defect::Refuses(&[0x11, 0xFF]))] {
         let wire = Wire::new(RATE, &found);
-        wire.world().refused = refused;
+        wire.bus().slaves.iter_mut().for_each(|board| board.defect = defect);
         let file = file("exchange", &table);
         assert_eq!(wire.apply(&file, "").0.code, 0);
         assert_eq!(wire.ids(), wanted.map(|id| (Some(id), Some(id))));
         // One board of each circle gives its node-ID up.
         let parked = |frame: &&canopen_node::Frame| frame.data().starts_with(&[0x11, 0xFF]);
-        let count = wire.world().sent.iter().filter(parked).count();
-        assert_eq!(count, 2, "refused: {refused:?}");
+        let count = wire.record().sent.iter().filter(parked).count();
+        assert_eq!(count, 2, "{defect:?}");
         assert_done(&wire, &file);
     }
 }
@@ -189,7 +189,7 @@ fn the_node_id_of_a_stopped_node_is_given_to_nobody() {
     for command in ["assign --table", "apply"] {
         let wire = Wire::with_heartbeat(RATE, &[1, 0xFF], 100);
         // It does not answer to SDO.
-        let _ = wire.world().boards[0].rig.nmt("02 01");
+        wire.nmt(0, "02 01");
         let file = file("heard", &node(1, 1));
         let outcome = wire.lss(&format!("{command} {}", file.display()));
         assert_eq!(outcome.code, 1, "{command}");
@@ -203,15 +203,15 @@ fn the_node_id_of_a_stopped_node_is_given_to_nobody() {
 fn a_node_id_that_a_board_leaves_stays_that_of_another_one() {
     for command in ["assign --table", "apply"] {
         let wire = Wire::new(RATE, &[5, 5, 0xFF]);
-        wire.world().may_collide = true;
+        wire.record().may_collide = true;
         // Only the other one answers to SDO.
-        let _ = wire.world().boards[0].rig.nmt("02 05");
+        wire.nmt(0, "02 05");
         let file = file("leaves", &(node(6, 0) + &node(5, 2)));
         let outcome = wire.lss(&format!("{command} {}", file.display()));
         assert_eq!(outcome.code, 1, "{command}");
         let words = "another board has node-ID 5";
         assert!(outcome.error.contains(words), "{command}: {}", outcome.error);
-        wire.world().may_collide = false;
+        wire.record().may_collide = false;
         wire.power_cycle();
         let ids = [Some(6), Some(5), None];
         assert_eq!(wire.ids(), ids.map(|id| (id, id)), "{command}");
@@ -221,7 +221,7 @@ fn a_node_id_that_a_board_leaves_stays_that_of_another_one() {
 #[test]
 fn boards_that_share_a_node_id_get_their_own() {
     let wire = Wire::new(RATE, &[5, 5, 5]);
-    wire.world().may_collide = true;
+    wire.record().may_collide = true;
     let values = "\"2100\" = 6";
     let file = file(
         "shared",
@@ -230,7 +230,7 @@ fn boards_that_share_a_node_id_get_their_own() {
     assert_eq!(wire.apply(&file, "").0.code, 0);
     assert_eq!(wire.ids(), [5, 6, 7].map(|id| (Some(id), Some(id))));
     assert!((0..3).all(|board| wire.value(board, 0x2100, 0) == [6]));
-    wire.world().may_collide = false;
+    wire.record().may_collide = false;
     assert_done(&wire, &file);
 }
 
@@ -262,7 +262,7 @@ fn missing_and_unknown_boards_are_named_and_the_others_are_done() {
 #[test]
 fn a_board_that_is_stopped_is_found_and_its_values_wait() {
     let wire = Wire::new(RATE, &[5]);
-    let _ = wire.world().boards[0].rig.nmt("02 05");
+    wire.nmt(0, "02 05");
     let (outcome, writes) = wire.apply(&file("stopped", &node_with(5, 0, "\"2100\" = 1")), "");
     assert_eq!((outcome.code, writes), (1, 0));
     assert!(
@@ -310,8 +310,7 @@ fn the_network_comes_to_the_bit_rate_of_the_table_and_new_boards_with_it() {
     assert_eq!(wire.apply(&file, "").0.code, 0);
     wire.power_cycle();
     assert_exchanged(&wire, "500 kbit/s");
-    let rates: Vec<BitRate> =
-        wire.world().boards.iter().map(|board| board.rig.bit_rate()).collect();
+    let rates: Vec<BitRate> = wire.bit_rates();
     assert_eq!(rates, [BitRate::Kbit500; 3]);
     assert_done(&wire, &file);
     // A network without a heartbeat is asked at the bit rate of the table alone.
@@ -350,7 +349,7 @@ fn the_bit_rate_stays_while_a_board_is_missing() {
         "the bit rate stays 125 kbit/s, since a board is missing: it would be lost at 500 kbit/s";
     assert!(outcome.error.contains(why), "{}", outcome.error);
     assert_eq!(wire.ids(), [(Some(5), Some(5))]);
-    assert_eq!(wire.world().boards[0].rig.bit_rate(), RATE);
+    assert_eq!(wire.bus().slaves[0].rig.bit_rate(), RATE);
 }
 
 #[test]
@@ -389,7 +388,7 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
     let file = file("stamped", &node_with(5, 0, VALUES));
     assert_eq!(wire.apply(&file, "").0.code, 0);
     let reads = |options: &str| {
-        let before = wire.world().sent.len();
+        let before = wire.record().sent.len();
         assert_eq!(wire.apply(&file, options).0.code, 0);
         // Without those of the list.
         let is_read = |frame: &&canopen_node::Frame| {
@@ -398,7 +397,7 @@ fn a_node_with_its_stamp_costs_two_reads_of_values() {
             frame.cob_id() == 0x605 && command == 0x40 && !matches!(index, 0x1008..=0x1018 | 0x2000)
                 || frame.cob_id() == 0x605 && command == 0x40 && index == 0x1014
         };
-        wire.world().sent[before..].iter().filter(is_read).count()
+        wire.record().sent[before..].iter().filter(is_read).count()
     };
     assert_eq!(reads(""), 2);
     // 1017h is not counted.
@@ -426,7 +425,7 @@ fn release_images_are_brought_to_the_table_and_keep_it_without_power() {
 #[test]
 fn a_node_that_was_operational_is_told() {
     let wire = Wire::with_heartbeat(RATE, &[5], 100);
-    let _ = wire.world().boards[0].rig.nmt("01 05");
+    wire.nmt(0, "01 05");
     let file = file("operational", &node_with(5, 0, "\"2100\" = 1"));
     let (outcome, _) = wire.apply(&file, "");
     assert_eq!(outcome.code, 0);
@@ -486,7 +485,7 @@ fn known_boards_without_a_node_id_are_not_scanned() {
         format!("? {}  node-ID none, not in the files: it stays as it is\n", address_text(5));
     assert!(outcome.text.contains(&unknown), "{}", outcome.text);
     let is_scan = |frame: &&canopen_node::Frame| frame.data().first() == Some(&0x51);
-    let scans = wire.world().sent.iter().filter(is_scan).count();
+    let scans = wire.record().sent.iter().filter(is_scan).count();
     // Each bit of the unknown one.
     assert!((100..300).contains(&scans), "{scans}");
     assert_done(&wire, &file);
@@ -495,7 +494,7 @@ fn known_boards_without_a_node_id_are_not_scanned() {
 #[test]
 fn a_text_with_zeros_behind_it_is_the_same_text() {
     let wire = Wire::new(RATE, &[5]);
-    wire.world().pads_texts = true;
+    wire.bus().slaves[0].defect = Some(Defect::PadsTexts);
     let file = file("padded", &node_with(5, 0, "\"2101:3\" = \"Ada\"\n\"2100\" = 4"));
     let (outcome, _) = wire.apply(&file, "");
     assert_eq!(outcome.code, 0, "{}", outcome.error);

@@ -3,11 +3,11 @@
 use std::fs;
 
 use canopen_node::BitRate;
-use testkit::flash::Operation;
+use testkit::{flash::Operation, slave_bus::Defect};
 
 use crate::{
     assign::new_file,
-    in_process::{At, Defect, Fault, Wire, address_text},
+    in_process::{At, Fault, Wire, address_text},
 };
 
 const RATE: BitRate = BitRate::Kbit125;
@@ -31,8 +31,8 @@ fn assert_stored(wire: &Wire, boards: &[usize]) {
 #[test]
 fn a_bad_board_is_named_and_all_others_are_finished_in_each_run() {
     let defects = [
-        (Defect::Refuses(0x11), "configure node-ID: 2 is refused: "),
-        (Defect::Refuses(0x17), "store configuration is refused: "),
+        (Defect::Refuses(&[0x11]), "configure node-ID: 2 is refused: "),
+        (Defect::Refuses(&[0x17]), "store configuration is refused: "),
         (Defect::DeniesItsStore, "store configuration is refused: the storage medium failed"),
         (Defect::DiesAtStore, "no answer to store configuration"),
         (Defect::Disobeys, "it accepted node-ID 2, but has none"),
@@ -42,7 +42,7 @@ fn a_bad_board_is_named_and_all_others_are_finished_in_each_run() {
         // The second one that is found, and the first.
         for bad in [1, 0] {
             let wire = Wire::new(RATE, &[0xFF; 5]);
-            wire.world().boards[bad].defect = Some(defect);
+            wire.bus().slaves[bad].defect = Some(defect);
             let words = words.replace('2', &(bad + 1).to_string());
             let others: Vec<usize> = (0..5).filter(|board| *board != bad).collect();
             let start = format!("board {}: {words}", address_text(bad));
@@ -58,7 +58,7 @@ fn a_bad_board_is_named_and_all_others_are_finished_in_each_run() {
             assert_eq!(again.code, 1, "{defect:?}");
             assert!(again.error.contains(&address_text(bad)), "{defect:?}: {}", again.error);
             wire.mend();
-            wire.world().boards[bad].defect = None;
+            wire.bus().slaves[bad].defect = None;
             assert_eq!(wire.lss("assign").code, 0, "{defect:?}");
             assert_stored(&wire, &[0, 1, 2, 3, 4]);
             wire.assert_waiting();
@@ -69,9 +69,10 @@ fn a_bad_board_is_named_and_all_others_are_finished_in_each_run() {
 #[test]
 fn several_bad_boards_are_all_named_and_new_ones_are_found_behind_them() {
     let wire = Wire::new(RATE, &[0xFF; 6]);
-    for (board, defect) in [(0, Defect::Forgets), (2, Defect::Disobeys), (3, Defect::Refuses(0x17))]
+    for (board, defect) in
+        [(0, Defect::Forgets), (2, Defect::Disobeys), (3, Defect::Refuses(&[0x17]))]
     {
-        wire.world().boards[board].defect = Some(defect);
+        wire.bus().slaves[board].defect = Some(defect);
     }
     let outcome = wire.lss("assign");
     assert_eq!((outcome.code, outcome.error.lines().count()), (1, 3), "{}", outcome.error);
@@ -84,9 +85,9 @@ fn several_bad_boards_are_all_named_and_new_ones_are_found_behind_them() {
 
 #[test]
 fn a_bad_board_among_many_costs_seconds() {
-    for defect in [Defect::Refuses(0x11), Defect::DiesAtStore, Defect::Forgets] {
+    for defect in [Defect::Refuses(&[0x11]), Defect::DiesAtStore, Defect::Forgets] {
         let wire = Wire::new(RATE, &[0xFF; 40]);
-        wire.world().boards[0].defect = Some(defect);
+        wire.bus().slaves[0].defect = Some(defect);
         let outcome = wire.lss("assign");
         assert_eq!((outcome.code, outcome.text.matches(VERIFIED).count()), (1, 39), "{defect:?}");
         assert!(wire.seconds() < 40, "{defect:?}: {} s", wire.seconds());
@@ -96,7 +97,7 @@ fn a_bad_board_among_many_costs_seconds() {
 #[test]
 fn a_board_whose_flash_fails_is_named_and_all_others_are_finished() {
     let wire = Wire::new(RATE, &[0xFF; 3]);
-    wire.world().boards[0].rig.flash.fail(Operation::Write);
+    wire.bus().slaves[0].rig.flash.fail(Operation::Write);
     let outcome = wire.lss("assign");
     let words = "store configuration is refused: the storage medium failed";
     assert_eq!(outcome.code, 1);
@@ -106,13 +107,14 @@ fn a_board_whose_flash_fails_is_named_and_all_others_are_finished() {
 
 #[test]
 fn a_bad_board_of_a_table_is_named_and_all_others_are_finished() {
-    for defect in [Defect::Refuses(0x17), Defect::DiesAtStore, Defect::Disobeys, Defect::Forgets] {
+    for defect in [Defect::Refuses(&[0x17]), Defect::DiesAtStore, Defect::Disobeys, Defect::Forgets]
+    {
         let table = new_file("bad.toml");
         let text = entry(7, 0) + &entry(8, 1);
         for command in ["assign --table", "apply"] {
             fs::write(&table, &text).expect("it can be written");
             let wire = Wire::new(RATE, &[0xFF, 9]);
-            wire.world().boards[0].defect = Some(defect);
+            wire.bus().slaves[0].defect = Some(defect);
             let outcome = wire.lss(&format!("{command} {}", table.display()));
             assert_eq!(outcome.code, 1, "{command} {defect:?}");
             assert!(outcome.error.contains(&address_text(0)), "{command}: {}", outcome.error);
@@ -145,14 +147,14 @@ fn after_ctrl_c_what_was_done_is_printed_and_a_bad_board_is_named() {
     // The node-IDs of the first and of the last board, by the numbers of their frames.
     let network = || {
         let wire = Wire::new(RATE, &[0xFF; 4]);
-        wire.world().boards[1].defect = Some(Defect::Refuses(0x17));
+        wire.bus().slaves[1].defect = Some(Defect::Refuses(&[0x17]));
         wire
     };
     let wire = network();
     assert_eq!(wire.lss("assign").code, 1);
     let number = |id: u8| {
-        let world = wire.world();
-        world.sent.iter().position(|frame| frame.data().starts_with(&[0x11, id]))
+        let record = wire.record();
+        record.sent.iter().position(|frame| frame.data().starts_with(&[0x11, id]))
     };
     let (first, last) = (number(1).expect("the first"), number(4).expect("the last"));
     let wire = network();
@@ -200,9 +202,7 @@ fn nodes_in_configuration_state_keep_their_node_ids_when_others_lose_theirs() {
     }
     assert_eq!(wire.lss("assign").code, 0);
     // As an NMT master does at its start.
-    for board in &mut wire.world().boards {
-        let _ = board.rig.nmt("82 00");
-    }
+    (0..3).for_each(|board| wire.nmt(board, "82 00"));
     assert_eq!(wire.ids(), [5, 1, 7].map(|id| (Some(id), Some(id))));
 }
 
@@ -242,7 +242,7 @@ fn a_node_id_that_is_taken_back_is_taken_out_of_the_flash_too() {
         (&*reset, Some(3)),
     ] {
         let wire = Wire::new(RATE, &[before.unwrap_or(0xFF)]);
-        wire.world().boards[0].defect = Some(Defect::DeniesItsStore);
+        wire.bus().slaves[0].defect = Some(Defect::DeniesItsStore);
         assert_eq!(wire.lss(command).code, 1, "{command}");
         assert_eq!(wire.ids(), [(before, before)], "{command}");
         wire.power_cycle();
@@ -258,7 +258,7 @@ fn a_stored_node_id_that_a_board_does_not_use_is_taken_back() {
     let set = "set-id 7 --store --reset".to_owned();
     for command in [set, format!("assign --table {}", table.display())] {
         let wire = Wire::new(RATE, &[3]);
-        wire.world().boards[0].defect = Some(Defect::IgnoresResets);
+        wire.bus().slaves[0].defect = Some(Defect::IgnoresResets);
         let outcome = wire.lss(&command);
         assert_eq!(outcome.code, 1, "{command}");
         let words =
@@ -272,7 +272,7 @@ fn a_stored_node_id_that_a_board_does_not_use_is_taken_back() {
 #[test]
 fn a_board_that_loses_its_node_id_again_is_named() {
     let wire = Wire::new(RATE, &[0xFF; 3]);
-    wire.world().boards[0].defect = Some(Defect::LosesItsNodeId);
+    wire.bus().slaves[0].defect = Some(Defect::LosesItsNodeId);
     let outcome = wire.lss("assign");
     let words = format!("board {} has lost node-ID 1 again", address_text(0));
     assert_eq!((outcome.code, &*outcome.error), (1, &*words));
@@ -285,7 +285,7 @@ fn a_node_id_that_cannot_be_taken_back_is_told() {
     for raw in ["raw 04 01", "raw 11 01"] {
         assert_eq!(wire.lss(raw).code, 0);
     }
-    wire.world().refused = Some([0x11, 0xFF]);
+    wire.bus().slaves[0].defect = Some(Defect::Refuses(&[0x11, 0xFF]));
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1);
     let words =
@@ -302,7 +302,7 @@ fn a_node_id_that_cannot_be_taken_back_is_told() {
 fn set_id_with_store_reads_back_what_is_stored() {
     for (before, reset) in [(None, ""), (Some(3), "--reset")] {
         let wire = Wire::new(RATE, &[before.unwrap_or(0xFF)]);
-        wire.world().boards[0].defect = Some(Defect::Forgets);
+        wire.bus().slaves[0].defect = Some(Defect::Forgets);
         let outcome = wire.lss(&format!("set-id 7 --store {reset}"));
         assert_eq!(outcome.code, 1, "{}", outcome.text);
         assert!(outcome.error.contains("it stored node-ID 7, but has "), "{}", outcome.error);
@@ -314,9 +314,9 @@ fn set_id_with_store_reads_back_what_is_stored() {
 fn another_board_at_the_node_id_after_the_reset_is_told() {
     // Board 1 has the node-ID, and comes when board 0 is reset.
     let wire = Wire::new(RATE, &[0xFF, 1]);
-    wire.world().may_collide = true;
-    wire.world().boards[1].is_there = false;
-    wire.world().boards[0].defect = Some(Defect::IsReplacedAtReset(1));
+    wire.record().may_collide = true;
+    wire.pull_out(1);
+    wire.bus().slaves[0].defect = Some(Defect::IsReplacedAtReset(1));
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1, "{}", outcome.text);
     let words = format!(
@@ -330,10 +330,10 @@ fn another_board_at_the_node_id_after_the_reset_is_told() {
 fn a_boot_up_message_may_be_lost_twice() {
     let wire = Wire::new(RATE, &[0xFF]);
     // That after LSS configuration state is the first.
-    wire.world().boards[0].defect = Some(Defect::LosesBootUps(3));
+    wire.bus().slaves[0].defect = Some(Defect::LosesBootUps(3));
     let outcome = wire.lss("assign");
     assert_eq!((outcome.code, outcome.text.matches(VERIFIED).count()), (0, 1), "{}", outcome.text);
-    wire.world().boards[0].defect = Some(Defect::LosesBootUps(2));
+    wire.bus().slaves[0].defect = Some(Defect::LosesBootUps(2));
     let outcome = wire.lss("set-id 9 --store --reset");
     assert_eq!((outcome.code, wire.ids()), (0, vec![(Some(9), Some(9))]));
 }
@@ -365,10 +365,8 @@ fn a_board_among_many_missing_ones_is_found() {
         // It has another node-ID, and tells nothing by SDO.
         ids[40] = 99;
         let wire = Wire::new(RATE, &ids);
-        for board in 0..40 {
-            wire.world().boards[board].is_there = board == 30;
-        }
-        let _ = wire.world().boards[40].rig.nmt("02 63");
+        (0..40).filter(|board| *board != 30).for_each(|board| wire.pull_out(board));
+        wire.nmt(40, "02 63");
         let outcome = wire.lss(&format!("{command} {}", table.display()));
         assert_eq!(outcome.code, 1, "{command}");
         assert_eq!((wire.ids()[30], wire.ids()[40]), ((Some(31), Some(31)), (Some(41), Some(41))));
@@ -378,22 +376,30 @@ fn a_board_among_many_missing_ones_is_found() {
 
 #[test]
 fn a_new_board_is_moved_when_another_one_came_with_its_node_id() {
-    let wire = Wire::new(RATE, &[0xFF, 1]);
-    wire.world().may_collide = true;
-    wire.world().boards[1].is_there = false;
-    wire.world().boards[0].defect = Some(Defect::IsJoinedAtReset(1));
-    let outcome = wire.lss("assign");
-    assert_eq!(outcome.code, 0, "{}", outcome.error);
-    assert!(outcome.text.contains("another board came with node-ID 1\n"), "{}", outcome.text);
-    wire.world().may_collide = false;
-    wire.power_cycle();
-    assert_eq!(wire.ids(), [2, 1].map(|id| (Some(id), Some(id))));
+    let table = new_file("moved.toml");
+    // The table gives it the node-ID that the other one has.
+    let told = "another board has node-ID 1, which the table gives to";
+    for (options, code, error) in
+        [(String::new(), 0, ""), (format!("--table {}", table.display()), 1, told)]
+    {
+        let wire = Wire::new(RATE, &[0xFF, 1]);
+        wire.record().may_collide = true;
+        wire.pull_out(1);
+        wire.bus().slaves[0].defect = Some(Defect::IsJoinedAtReset(1));
+        let outcome = wire.lss(&format!("assign {options}"));
+        assert_eq!(outcome.code, code, "{}", outcome.error);
+        assert!(outcome.error.starts_with(error), "{}", outcome.error);
+        assert!(outcome.text.contains("another board came with node-ID 1\n"), "{}", outcome.text);
+        wire.record().may_collide = false;
+        wire.power_cycle();
+        assert_eq!(wire.ids(), [2, 1].map(|id| (Some(id), Some(id))));
+    }
 }
 
 #[test]
 fn boards_that_share_a_node_id_are_named() {
     let wire = Wire::new(RATE, &[5, 5, 0xFF]);
-    wire.world().may_collide = true;
+    wire.record().may_collide = true;
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1);
     let words = "2 boards have node-ID 5, with the serial numbers 00001000, 00001001: give all but";
@@ -405,7 +411,7 @@ fn boards_that_share_a_node_id_are_named() {
 fn the_node_id_of_a_heartbeat_is_not_given_though_nobody_answers() {
     let wire = Wire::with_heartbeat(RATE, &[1, 0xFF], 100);
     // It is stopped, and does not answer to SDO.
-    let _ = wire.world().boards[0].rig.nmt("02 01");
+    wire.nmt(0, "02 01");
     assert_eq!(wire.lss("assign").code, 0);
     assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
 }
@@ -413,7 +419,7 @@ fn the_node_id_of_a_heartbeat_is_not_given_though_nobody_answers() {
 #[test]
 fn a_node_whose_first_answer_is_lost_keeps_its_node_id_alone() {
     let wire = Wire::new(RATE, &[1, 0xFF]);
-    wire.world().boards[0].defect = Some(Defect::LosesAnswers(1));
+    wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(1));
     assert_eq!(wire.lss("assign").code, 0);
     assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
 }

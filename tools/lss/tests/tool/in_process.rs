@@ -1,9 +1,8 @@
-//! Boards of the example `io` in the process, on an ideal bus in virtual time, and the tool's adapter there: thousands
-//! of runs in seconds. It counts what is written, and never are two boards one node, not even after a power cut.
+//! Boards of the example `io` on the bus within the process, and the tool's adapter there: thousands of runs in seconds.
+//! It counts what is written, and never are two boards one node, not even after a power cut.
 
 use std::{
     cell::{RefCell, RefMut},
-    collections::{BTreeMap, VecDeque},
     path::Path,
     rc::Rc,
     sync::{
@@ -14,7 +13,7 @@ use std::{
 };
 
 use can_bus::{
-    adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
+    adapter::{Adapter, Mode, Received, Status},
     stop::Stop,
 };
 use canopen_node::{
@@ -27,16 +26,15 @@ use testkit::{
     flash::BoardFlash,
     image_rig::{flash_with, settings},
     node_rig::NodeRig,
+    random::Random,
     sdo::Client,
+    slave_bus::{BusAdapter, Habits, Happening, SlaveBus},
 };
 
 use crate::emulated::{Outcome, run, text};
 
-/// A board.
-pub type Rig = NodeRig<Application>;
-
-/// More bits than a frame.
-const FRAME_BITS: u64 = 130;
+/// More time than a frame takes, in microseconds.
+const FRAME_US: u64 = 2_000;
 
 /// What goes wrong from a frame of the tool on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,33 +51,6 @@ pub enum Fault {
     OtherMaster,
 }
 
-/// What a board does that it must not.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Defect {
-    /// It refuses the LSS request with this command specifier.
-    Refuses(u8),
-    /// It stores, and says that it cannot.
-    DeniesItsStore,
-    /// It is off the bus, and has no power, from store configuration on.
-    DiesAtStore,
-    /// It says that it takes a node-ID, and does not.
-    Disobeys,
-    /// It says that it has stored, and has not.
-    Forgets,
-    /// It ignores NMT resets.
-    IgnoresResets,
-    /// It loses a node-ID when it hears a Fastscan.
-    LosesItsNodeId,
-    /// Another board is in its place after a reset: that with this number.
-    IsReplacedAtReset(usize),
-    /// Another board comes to the bus at its reset: that with this number.
-    IsJoinedAtReset(usize),
-    /// Its first boot-up messages are lost.
-    LosesBootUps(usize),
-    /// Its first answers to SDO are lost.
-    LosesAnswers(usize),
-}
-
 /// When it goes wrong: at a write, or at a frame from the first write on, from 0 on.
 #[derive(Clone, Copy, Debug)]
 pub enum At {
@@ -90,18 +61,14 @@ pub enum At {
 /// The boards, the bus, and the tool's adapter.
 #[derive(Clone)]
 pub struct Wire {
-    world: Rc<RefCell<World>>,
+    adapter: BusAdapter<Application>,
+    record: Rc<RefCell<Record>>,
     is_interrupted: Arc<AtomicBool>,
-    start: Instant,
 }
 
-pub struct World {
-    pub boards: Vec<Board>,
-    /// In microseconds.
-    now: u64,
-    rate: Option<BitRate>,
-    has_errors: bool,
-    received: VecDeque<Frame>,
+/// What the tool has done, and what goes wrong with it.
+#[derive(Default)]
+pub struct Record {
     /// All frames that the tool has sent.
     pub sent: Vec<Frame>,
     /// The number of writes among them.
@@ -112,19 +79,7 @@ pub struct World {
     fault: Option<(Fault, At)>,
     /// There was a write.
     has_begun: bool,
-    /// An LSS request that the boards refuse: its command specifier, and the byte behind it.
-    pub refused: Option<[u8; 2]>,
     is_adapter_gone: bool,
-    /// The boards that are plugged in or pulled out, and when, in microseconds.
-    hands: BTreeMap<u64, (usize, bool)>,
-    /// Texts of the object 2101h:3 have a zero behind them.
-    pub pads_texts: bool,
-}
-
-pub struct Board {
-    pub rig: Rig,
-    pub is_there: bool,
-    pub defect: Option<Defect>,
 }
 
 /// The LSS address of the board with this number.
@@ -164,37 +119,24 @@ impl Wire {
                     BoardFlash::with_content(flash_with(&[settings]), number as u64)
                 }
             };
-            Board {
-                rig: Rig::with_application(device, flash, 0, Application::new()),
-                is_there: true,
-                defect: None,
-            }
+            let rig = NodeRig::with_application(device, flash, 0, Application::new());
+            // It answers at once.
+            (rig, Habits { answer_us: 0..1, store_us: 0, ..Habits::default() })
         };
-        let world = World {
-            boards: node_ids.iter().enumerate().map(board).collect(),
-            now: 0,
-            rate: None,
-            has_errors: false,
-            received: VecDeque::new(),
-            sent: Vec::new(),
-            writes: 0,
-            may_collide: false,
-            fault: None,
-            has_begun: false,
-            refused: None,
-            is_adapter_gone: false,
-            hands: BTreeMap::new(),
-            pads_texts: false,
-        };
+        let boards = node_ids.iter().enumerate().map(board);
         Self {
-            world: Rc::new(RefCell::new(world)),
+            adapter: BusAdapter::new(SlaveBus::new(boards, Random::from_seed(1))),
+            record: Rc::default(),
             is_interrupted: Arc::default(),
-            start: Instant::now(),
         }
     }
 
-    pub fn world(&self) -> RefMut<'_, World> {
-        self.world.borrow_mut()
+    pub fn bus(&self) -> RefMut<'_, SlaveBus<Application>> {
+        self.adapter.bus()
+    }
+
+    pub fn record(&self) -> RefMut<'_, Record> {
+        self.record.borrow_mut()
     }
 
     /// Runs `lss` with these arguments.
@@ -204,150 +146,103 @@ impl Wire {
 
     /// Runs `lss apply` with a file; returns the outcome and the number of writes.
     pub fn apply(&self, file: &Path, options: &str) -> (Outcome, usize) {
-        let before = self.world().writes;
+        let before = self.record().writes;
         let outcome = self.lss(&format!("apply {} {options}", file.display()));
-        let writes = self.world().writes - before;
+        let writes = self.record().writes - before;
         (outcome, writes)
     }
 
     /// Lets something go wrong.
     pub fn fail_at(&self, at: At, fault: Fault) {
-        self.world().fault = Some((fault, at));
+        self.record().fault = Some((fault, at));
     }
 
     /// Plugs a board in, or pulls it out, so many seconds from now on.
     pub fn hand(&self, seconds: u64, board: usize, is_there: bool) {
-        let mut world = self.world();
-        let at = world.now + 1_000_000 * seconds;
-        world.hands.insert(at, (board, is_there));
+        let happening = if is_there { Happening::PowerOn } else { Happening::PowerOff };
+        let mut bus = self.bus();
+        let at = bus.now() + 1_000_000 * seconds;
+        bus.plan(at, board, happening);
+    }
+
+    /// Pulls a board out.
+    pub fn pull_out(&self, board: usize) {
+        self.bus().happen(board, Happening::PowerOff);
     }
 
     /// The virtual time in seconds.
     pub fn seconds(&self) -> u64 {
-        self.world().now / 1_000_000
+        self.bus().now() / 1_000_000
     }
 
     /// Mends what went wrong, before another run; true if something did.
     pub fn mend(&self) -> bool {
         // It may have come at the last frame.
         self.is_interrupted.store(false, Ordering::Relaxed);
-        let mut world = self.world();
-        let has_happened = world.fault.take().is_none();
-        world.is_adapter_gone = false;
-        world.hands.clear();
-        for board in &mut world.boards {
-            if !board.is_there {
-                board.is_there = true;
-                board.rig.power_cycle();
-            }
-        }
-        has_happened
+        self.bus().calm();
+        let mut record = self.record();
+        record.is_adapter_gone = false;
+        record.fault.take().is_none()
     }
 
     /// Cuts the power of all boards, and restores it.
     pub fn power_cycle(&self) {
-        let mut world = self.world();
-        for board in &mut world.boards {
-            board.rig.power_cycle();
+        let mut bus = self.bus();
+        for happening in [Happening::PowerOff, Happening::PowerOn] {
+            (0..bus.slaves.len()).for_each(|board| bus.happen(board, happening));
         }
-        world.assert_alone();
+        bus.pass_us(100 * FRAME_US);
+        drop(bus);
+        self.assert_alone();
     }
 
     /// The node-ID in use and the stored one of each board.
     pub fn ids(&self) -> Vec<(Option<u8>, Option<u8>)> {
-        let ids = |board: &Board| {
-            let stored = board.rig.stored().and_then(|settings| settings.node_id);
-            (board.rig.node.node_id().map(NodeId::get), stored.map(NodeId::get))
+        let ids = |rig: &NodeRig<Application>| {
+            let stored = rig.stored().and_then(|settings| settings.node_id);
+            (rig.node.node_id().map(NodeId::get), stored.map(NodeId::get))
         };
-        self.world().boards.iter().map(ids).collect()
+        self.bus().slaves.iter().map(|board| ids(&board.rig)).collect()
+    }
+
+    /// The bit rates of the boards.
+    pub fn bit_rates(&self) -> Vec<BitRate> {
+        self.bus().slaves.iter().map(|board| board.rig.bit_rate()).collect()
     }
 
     /// The value of an object of a board.
     pub fn value(&self, board: usize, index: u16, sub_index: u8) -> Vec<u8> {
-        let mut world = self.world();
-        world.boards[board].rig.upload(index, sub_index).expect("it can be read")
+        let value = self.bus().beside_bus(board, |rig| rig.upload(index, sub_index));
+        value.expect("it can be read")
     }
 
     /// Writes a value of a board without the tool.
     pub fn set(&self, board: usize, index: u16, sub_index: u8, bytes: &[u8]) {
-        self.world().boards[board]
-            .rig
-            .download(index, sub_index, bytes)
-            .expect("it can be written");
+        let outcome = self.bus().beside_bus(board, |rig| rig.download(index, sub_index, bytes));
+        outcome.expect("it can be written");
+    }
+
+    /// Lets a board have received an NMT command.
+    pub fn nmt(&self, board: usize, command: &str) {
+        self.bus().beside_bus(board, |rig| drop(rig.nmt(command)));
     }
 
     /// Asserts that no board is in LSS configuration state.
     #[track_caller]
     pub fn assert_waiting(&self) {
-        for board in &mut self.world().boards {
-            assert!(!board.rig.is_in_configuration_state());
-        }
-    }
-}
-
-impl World {
-    pub fn pass_ms(&mut self, ms: u64) {
-        self.run(self.now + 1000 * ms, false);
-    }
-
-    /// Lets time pass until `end` or until a frame comes.
-    fn run(&mut self, end: u64, stops_at_frames: bool) {
-        while self.now < end && (!stops_at_frames || self.received.is_empty()) {
-            let deadlines = self.boards.iter().filter_map(|board| board.rig.us_to_deadline());
-            let hand = self.hands.keys().next().map(|at| at.saturating_sub(self.now));
-            let step = deadlines.chain(hand).min().unwrap_or(u64::MAX).clamp(1, end - self.now);
-            self.now += step;
-            if let Some(hand) = self.hands.first_entry().filter(|hand| *hand.key() <= self.now) {
-                let (number, is_there) = hand.remove();
-                self.boards[number].is_there = is_there;
-                if is_there {
-                    let frames = self.boards[number].rig.power_cycle().0;
-                    self.take(number, frames);
-                }
-            }
-            for number in 0..self.boards.len() {
-                let frames = self.boards[number].rig.pass_us(step).0;
-                self.take(number, frames);
-            }
-        }
-    }
-
-    /// Takes frames of a board. Those that several boards send at once and alike are one on the bus.
-    fn take(&mut self, number: usize, frames: Vec<Frame>) {
-        let Board { rig, is_there, defect } = &mut self.boards[number];
-        rig.take_actions();
-        if *is_there && self.rate == Some(rig.bit_rate()) {
-            for mut frame in frames {
-                let lost = match (frame.cob_id(), frame.data(), &mut *defect) {
-                    (0x701..=0x77F, [0], Some(Defect::LosesBootUps(left))) => Some(left),
-                    (0x581..=0x5FF, _, Some(Defect::LosesAnswers(left))) => Some(left),
-                    _ => None,
-                };
-                if let Some(left @ 1..) = lost {
-                    *left -= 1;
-                    continue;
-                }
-                if let (true, &[0x47, 0x01, 0x21, 3, a, b, c, d]) = (self.pads_texts, frame.data())
-                {
-                    let padded = [0x43, 0x01, 0x21, 3, a, b, c, d];
-                    frame = Frame::new(frame.cob_id(), &padded).expect("eight bytes");
-                }
-                if !self.received.contains(&frame) {
-                    self.received.push_back(frame);
-                }
-            }
-        }
+        assert_eq!(self.bus().in_configuration(), 0);
     }
 
     /// Asserts that no two boards have one node-ID, neither in use nor stored.
     #[track_caller]
     fn assert_alone(&self) {
-        if self.may_collide {
+        if self.record().may_collide {
             return;
         }
-        let there = self.boards.iter().filter(|board| board.is_there);
+        let bus = self.bus();
+        let there = bus.slaves.iter().filter(|board| board.is_powered);
         let active: Vec<NodeId> = there.filter_map(|board| board.rig.node.node_id()).collect();
-        let stored = self.boards.iter().filter_map(|board| board.rig.stored()?.node_id);
+        let stored = bus.slaves.iter().filter_map(|board| board.rig.stored()?.node_id);
         for (what, mut ids) in [("in use", active), ("stored", stored.collect())] {
             let count = ids.len();
             ids.sort_unstable();
@@ -355,7 +250,9 @@ impl World {
             assert_eq!(ids.len(), count, "a node-ID twice {what}: {ids:?}");
         }
     }
+}
 
+impl Record {
     /// The fault that comes at this frame.
     fn fault_at(&mut self, frame: &Frame) -> Option<Fault> {
         let (fault, at) = self.fault?;
@@ -371,157 +268,85 @@ impl World {
         self.fault = next.map(|at| (fault, at));
         next.is_none().then_some(fault)
     }
+}
 
-    /// Lets a board with a defect do something else with a frame; false if it does what it must.
-    fn misbehaves(&mut self, number: usize, frame: &Frame) -> bool {
-        let board = &mut self.boards[number];
-        let Some(defect) = board.defect else { return false };
-        let specifier = frame.data()[0];
-        let reset = [0x81, board.rig.node.node_id().map_or(0, NodeId::get)];
-        if let (
-            nmt::COMMAND_COB_ID,
-            Defect::IsReplacedAtReset(other) | Defect::IsJoinedAtReset(other),
-        ) = (frame.cob_id(), defect)
-            && frame.data() == reset
-        {
-            board.defect = None;
-            board.is_there = matches!(defect, Defect::IsJoinedAtReset(_));
-            self.boards[other].is_there = true;
-            let frames = self.boards[other].rig.power_cycle().0;
-            self.take(other, frames);
-            return !self.boards[number].is_there;
-        }
-        if let (nmt::COMMAND_COB_ID, Defect::IgnoresResets) = (frame.cob_id(), defect) {
-            return true;
-        }
-        if let (0x7E5, 0x51, Defect::LosesItsNodeId) = (frame.cob_id(), specifier, defect)
-            && board.rig.node.node_id().is_some()
-        {
-            board.rig.configure("11 FF, 17");
-            board.rig.power_cycle();
-            board.rig.take_actions();
-        }
-        if frame.cob_id() != 0x7E5 || !board.rig.is_in_configuration_state() {
-            return false;
-        }
-        let code = match (defect, specifier) {
-            (Defect::Refuses(refused), _) if refused == specifier => 1,
-            (Defect::DeniesItsStore, 0x17) => {
-                board.rig.receive(frame);
-                board.rig.take_actions();
-                2
-            }
-            (Defect::DiesAtStore, 0x17) => {
-                board.is_there = false;
-                return true;
-            }
-            (Defect::Disobeys, 0x11) | (Defect::Forgets, 0x17) => 0,
-            _ => return false,
-        };
-        self.received.extend(Frame::new(0x7E4, &[specifier, code, 0, 0, 0, 0, 0, 0]));
-        true
+impl Wire {
+    /// Lets all frames leave the adapter that were sent before.
+    fn flush(&mut self) -> Result<(), Stop> {
+        self.adapter.close()?;
+        self.bus().pass_us(FRAME_US);
+        Ok(())
     }
 
-    fn deliver(&mut self, frame: &Frame) {
-        let Some(rate) = self.rate else { return };
-        let span = FRAME_BITS * 1000 / u64::from(rate.kbit_per_s());
-        self.run(self.now + span, false);
-        if let (0x7E5, Some(refused)) = (frame.cob_id(), self.refused)
-            && frame.data().starts_with(&refused)
-        {
-            let answer = [refused[0], 1, 0, 0, 0, 0, 0, 0];
-            self.received.extend(Frame::new(0x7E4, &answer));
-            return;
+    fn assert_adapter(&self) -> Result<(), Stop> {
+        match self.record().is_adapter_gone {
+            true => Err(Stop::AdapterGone("pulled out".into())),
+            false => Ok(()),
         }
-        let mut is_acknowledged = false;
-        for number in 0..self.boards.len() {
-            let Board { rig, is_there, .. } = &mut self.boards[number];
-            if *is_there && rig.bit_rate() == rate {
-                is_acknowledged = true;
-                if !self.misbehaves(number, frame) {
-                    let answers = self.boards[number].rig.receive(frame).0;
-                    self.take(number, answers);
-                }
-            }
-        }
-        self.has_errors |= !is_acknowledged;
-        self.assert_alone();
     }
 }
 
 impl Adapter for Wire {
-    fn open(&mut self, rate: BitRate, _: Mode) -> Result<(), Stop> {
-        let mut world = self.world();
-        world.rate = Some(rate);
-        world.received.clear();
-        world.has_errors = false;
-        Ok(())
+    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
+        self.adapter.open(rate, mode)
     }
 
     fn close(&mut self) -> Result<(), Stop> {
-        self.world().rate = None;
-        Ok(())
+        self.adapter.close()
     }
 
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
-        let is_interrupted = Arc::clone(&self.is_interrupted);
-        let mut world = self.world();
-        let fault = world.fault_at(frame);
-        if let Some(fault) = fault {
-            match fault {
-                Fault::CtrlC => is_interrupted.store(true, Ordering::Relaxed),
-                Fault::AdapterGone => world.is_adapter_gone = true,
-                Fault::AdapterGoneBehind => {}
-                Fault::BoardGone(number) => world.boards[number].is_there = false,
-                Fault::OtherMaster => {
-                    let request = Request::SwitchToConfiguration.to_frame();
-                    world.deliver(&request);
-                    world.received.push_back(request);
-                }
+        self.assert_adapter()?;
+        let fault = self.record().fault_at(frame);
+        match fault {
+            Some(Fault::CtrlC) => self.is_interrupted.store(true, Ordering::Relaxed),
+            Some(Fault::BoardGone(number)) => self.pull_out(number),
+            Some(Fault::OtherMaster) => {
+                let mut bus = self.bus();
+                let now = bus.now();
+                bus.send_from_another_master(now, Request::SwitchToConfiguration.to_frame());
             }
+            Some(Fault::AdapterGone) => {
+                self.record().is_adapter_gone = true;
+                self.flush()?;
+                return self.assert_adapter();
+            }
+            Some(Fault::AdapterGoneBehind) | None => {}
         }
-        if world.is_adapter_gone {
-            return Err(Stop::AdapterGone("pulled out".into()));
-        }
-        world.sent.push(*frame);
-        world.writes += usize::from(is_write(frame));
-        world.deliver(frame);
+        self.record().sent.push(*frame);
+        self.record().writes += usize::from(is_write(frame));
+        self.adapter.send(frame)?;
         if fault == Some(Fault::AdapterGoneBehind) {
-            world.is_adapter_gone = true;
+            self.record().is_adapter_gone = true;
+            self.flush()?;
         }
         Ok(())
     }
 
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
-        let mut world = self.world();
-        if world.is_adapter_gone {
-            return Err(Stop::AdapterGone("pulled out".into()));
-        }
-        let end = world.now + wait.as_micros() as u64;
-        world.run(end, true);
-        let at = Duration::from_micros(world.now);
-        let frame = world.received.pop_front();
-        Ok(frame.map(|frame| Received { frame, at, here: self.start + at }))
+        self.assert_adapter()?;
+        let received = self.adapter.receive(wait);
+        self.assert_alone();
+        received
     }
 
     fn status(&mut self) -> Result<Option<Status>, Stop> {
-        let has_errors = std::mem::take(&mut self.world().has_errors);
-        Ok(Some(Status { is_error_passive: false, has_errors }))
+        self.adapter.status()
     }
 
     fn now(&self) -> Instant {
-        self.start + Duration::from_micros(self.world.borrow().now)
+        self.adapter.now()
     }
 
     fn clock(&self) -> &'static str {
-        HOST_CLOCK
+        self.adapter.clock()
     }
 
     fn latency(&self) -> Option<Duration> {
-        None
+        self.adapter.latency()
     }
 
     fn description(&self) -> String {
-        "boards in the process".into()
+        self.adapter.description()
     }
 }

@@ -1,8 +1,15 @@
 //! `lss find` and `lss list`.
 
-use canopen_node::BitRate;
+use std::fs;
 
-use crate::emulated::{Boards, address_text};
+use canopen_node::BitRate;
+use serde_json::Value;
+use testkit::cargo;
+
+use crate::{
+    emulated::{Boards, address_text},
+    in_process::{self, Wire},
+};
 
 const RATE: BitRate = BitRate::Kbit125;
 
@@ -109,6 +116,34 @@ fn a_list_as_json_has_the_bit_rate_and_all_nodes() {
 }
 
 #[test]
+fn the_page_has_each_key_of_the_json() {
+    let page = fs::read_to_string(cargo::workspace().join("docs/commission.md")).expect("a page");
+    let block = page.split("```json").nth(1).and_then(|rest| rest.split("```").next());
+    let json = |text: &str| serde_json::from_str::<Value>(text).expect("JSON");
+    let keys = |value: &Value| -> Vec<String> {
+        value.as_object().into_iter().flatten().map(|(key, _)| key.clone()).collect()
+    };
+    let wire = Wire::new(RATE, &[5]);
+    let (example, list) = (json(block.expect("an example")), json(&wire.lss("list --json").text));
+    assert_eq!(keys(&example), keys(&list));
+    assert_eq!(keys(&example["nodes"][0]), keys(&list["nodes"][0]));
+    let file = cargo::scratch("json.toml");
+    let sheet = cargo::workspace().join("eds/io.eds");
+    let address = in_process::address_text(0);
+    let node = format!("[[node]]\nid = 6\naddress = \"{address}\"\neds = {sheet:?}\n");
+    let text = node + "[node.values]\n2100 = 4\n";
+    fs::write(&file, text).expect("it can be written");
+    let plan = json(&wire.lss(&format!("apply {} --plan --json", file.display())).text);
+    let node = &plan["nodes"][0];
+    for part in [&plan, node, &node["node_id"], &node["values"][0]] {
+        assert!(!keys(part).is_empty());
+        for key in keys(part) {
+            assert!(page.contains(&format!("`{key}`")), "{key}");
+        }
+    }
+}
+
+#[test]
 fn two_boards_with_one_node_id_are_seen_and_can_be_told_apart() {
     let boards = Boards::new(RATE, &[5, 5, 9]);
     let outcome = boards.lss("list");
@@ -167,5 +202,17 @@ fn ctrl_c_in_a_list_leaves_no_board_in_configuration_state() {
         let outcome = boards.lss("list");
         assert_eq!(outcome.code, 130, "frame {number} of {}", count.get());
         boards.assert_waiting(RATE);
+    }
+}
+
+#[test]
+fn a_list_bears_heartbeats_between_a_question_and_its_answer() {
+    // Rare enough that the master does not expect them.
+    for heartbeat_ms in (60..240).step_by(12) {
+        let wire = Wire::with_heartbeat(RATE, &[1, 0xFF, 0xFF], heartbeat_ms);
+        let outcome = wire.lss("list");
+        let expected = (0, 4);
+        assert_eq!((outcome.code, outcome.text.lines().count()), expected, "{heartbeat_ms} ms");
+        wire.assert_waiting();
     }
 }

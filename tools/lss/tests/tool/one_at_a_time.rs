@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use can_bus::person::Person;
 use canopen_node::BitRate;
+use testkit::slave_bus::Defect;
 
 use crate::{
     emulated::run,
-    in_process::{Defect, Wire, address_text},
+    in_process::{Wire, address_text},
 };
 
 const RATE: BitRate = BitRate::Kbit125;
@@ -15,9 +16,7 @@ const RATE: BitRate = BitRate::Kbit125;
 /// Boards with these node-IDs that are not on the bus yet.
 fn boards(ids: &[u8]) -> Wire {
     let wire = Wire::new(RATE, ids);
-    for board in &mut wire.world().boards {
-        board.is_there = false;
-    }
+    (0..ids.len()).for_each(|board| wire.pull_out(board));
     wire
 }
 
@@ -54,8 +53,8 @@ fn of_several_boards_that_are_plugged_in_none_is_taken() {
     for (at, board, is_there) in [(5, 0, true), (6, 1, true), (30, 0, false), (50, 0, true)] {
         wire.hand(at, board, is_there);
     }
-    wire.world().boards[0].is_there = true;
-    wire.world().boards[1].is_there = true;
+    wire.hand(0, 0, true);
+    wire.hand(0, 1, true);
     let outcome = wire.lss("assign --one-at-a-time");
     assert_eq!(outcome.code, 0, "{}", outcome.error);
     let words = format!(
@@ -70,7 +69,7 @@ fn of_several_boards_that_are_plugged_in_none_is_taken() {
 #[test]
 fn a_bad_board_is_told_at_once_and_the_next_one_is_served() {
     let wire = boards(&[0xFF, 0xFF]);
-    wire.world().boards[0].defect = Some(Defect::Refuses(0x17));
+    wire.bus().slaves[0].defect = Some(Defect::Refuses(&[0x17]));
     wire.hand(5, 0, true);
     wire.hand(30, 1, true);
     let outcome = wire.lss("assign --one-at-a-time");

@@ -217,8 +217,8 @@ fn with_fault_at_each_frame(fault: Fault, mut check: impl FnMut(&Wire, &Outcome)
 
 /// The bit rates that the boards have stored.
 fn stored(wire: &Wire) -> Vec<BitRate> {
-    let world = wire.world();
-    let stored = world.boards.iter().map(|board| board.rig.stored().expect("settings").bit_rate);
+    let bus = wire.bus();
+    let stored = bus.slaves.iter().map(|board| board.rig.stored().expect("settings").bit_rate);
     stored.map(|setting| BitRate::from_table(0, setting.index()).expect("a fixed one")).collect()
 }
 
@@ -235,7 +235,7 @@ fn another_lss_master_in_a_rate_change_is_told_at_a_safe_moment() {
         outcomes[usize::from(is_done)] += 1;
         let rate = if is_done { NEW } else { OLD };
         assert_eq!(stored(wire), [rate; 3]);
-        assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == rate));
+        assert!(wire.bit_rates().iter().all(|own| *own == rate));
         wire.assert_waiting();
     });
     assert!(outcomes.iter().all(|count| *count > 0), "{outcomes:?}");
@@ -261,7 +261,7 @@ fn a_rate_change_without_its_adapter_says_where_the_boards_may_be() {
             let words = format!("All boards are at 500 kbit/s, and at least {new} of 3 have stored it");
             assert!(error.contains(&words), "{error}");
             assert!(error.ends_with("`lss set-rate 500 --bit-rate 500` lets all store it"));
-            assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == NEW));
+            assert!(wire.bit_rates().iter().all(|own| *own == NEW));
         }
     });
     assert_eq!(most, 2);
@@ -274,7 +274,7 @@ fn ctrl_c_while_the_boards_store_lets_all_of_them_store() {
         let rate = if outcome.code == 0 { NEW } else { OLD };
         done += usize::from(outcome.code == 0);
         assert_eq!(stored(wire), [rate; 3]);
-        assert!(wire.world().boards.iter().all(|board| board.rig.bit_rate() == rate));
+        assert!(wire.bit_rates().iter().all(|own| *own == rate));
     });
     assert!(done > 3, "{done}");
 }

@@ -51,7 +51,7 @@ fn wrong_files_are_told_before_anything_is_sent() {
         let (outcome, _) = wire.apply(&file("wrong", &text), "");
         assert_eq!(outcome.code, 1, "{why}");
         assert!(outcome.error.contains(why), "{why}: {}", outcome.error);
-        assert!(wire.world().sent.is_empty(), "{why}");
+        assert!(wire.record().sent.is_empty(), "{why}");
     }
     let (outcome, _) = wire.apply(&folder("wrong").join("network.yml"), "");
     assert!(

@@ -193,13 +193,12 @@ fn a_run_after_the_adapter_was_gone_at_any_write_of_a_switch_goes_on() {
             return;
         }
         // The switch delays of a switch that has begun.
-        wire.world().pass_ms(1100);
+        wire.bus().pass_us(1_100_000);
         let (outcome, _) = wire.apply(&file, "--bit-rate 125");
         assert_eq!(outcome.code, 0, "write {write}: {}", outcome.error);
         wire.power_cycle();
         assert_eq!(wire.ids(), [5, 7].map(|id| (Some(id), Some(id))), "write {write}");
-        let rates: Vec<BitRate> =
-            wire.world().boards.iter().map(|board| board.rig.bit_rate()).collect();
+        let rates: Vec<BitRate> = wire.bit_rates();
         assert_eq!(rates, [BitRate::Kbit500; 2], "write {write}");
         let (outcome, writes) = wire.apply(&file, "");
         assert_eq!((outcome.code, writes), (0, 0), "write {write}");
