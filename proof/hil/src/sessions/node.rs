@@ -55,8 +55,12 @@ fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
     if times.len() < 2 {
         bench.report.failed(
             format!("node {id}: heartbeat of {PERIOD_MS} ms"),
-            format!("{} in {} ms", times.len(), u32::from(PERIOD_MS) * (COUNT + 2)),
-            "one each time: a port that does not report BusEvent::NonePending sends the first one alone",
+            format!(
+                "{} in {} ms, as by a port that does not report BusEvent::NonePending",
+                times.len(),
+                u32::from(PERIOD_MS) * (COUNT + 2)
+            ),
+            "one each time",
         );
         return Ok(());
     }
