@@ -224,6 +224,11 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// assert_eq!(Scale::new().gains[3], 1.0);
 /// ```
 ///
+/// State that is no object stands before the objects, with its start value: `private lost: u8 = 0;`. A [`Domain`] or a
+/// [`LongText`] names the methods that read and write it, or only the first: `rw with read_log and write_log`. They are
+/// `fn(&self) -> &[u8]`, and `fn(&mut self, offset: usize, bytes: &[u8]) -> Result<(), Abort>`, which begins anew at
+/// offset 0.
+///
 /// | type | of CiA 301 |
 /// |---|---|
 /// | `bool` | BOOLEAN |
@@ -232,6 +237,7 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// | `f32`, `f64` | REAL32, REAL64 |
 /// | `&'static str`, [`Text`] | VISIBLE_STRING |
 /// | [`OctetString`] | OCTET_STRING |
+/// | [`LongText`] | VISIBLE_STRING of any length |
 /// | [`Domain`] | DOMAIN |
 ///
 /// [`Integer24`]: crate::application::Integer24
@@ -240,6 +246,7 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// [`Unsigned56`]: crate::application::Unsigned56
 /// [`Text`]: crate::application::Text
 /// [`OctetString`]: crate::application::OctetString
+/// [`LongText`]: crate::application::LongText
 /// [`Domain`]: crate::application::Domain
 ///
 /// # What does not compile
