@@ -120,8 +120,11 @@ fn a_start_erases_only_what_a_certain_record_replaces() {
                 let beginning = Flash::<W, E>::blank_with_sectors(2, random.u64());
                 let mut expected = Expected::<0>::nothing();
                 expected.power_on(&beginning, stores);
-                let steps = Expected::clone(&expected).steps(&beginning, 1);
-                for (back, fault) in (1..4).flat_map(|back| (0..30).map(move |it| (back, it))) {
+                let uncut = beginning.duplicate(0);
+                expected.clone().power_on(&uncut, 1);
+                let steps = uncut.writes() + uncut.erases();
+                let faults = (0..90).map(|number| (1 + number % 3, number % 20));
+                for (back, fault) in faults {
                     let flash = beginning.duplicate(random.u64());
                     let mut expected = expected.clone();
                     flash.cut_power_after(steps - back);
