@@ -179,6 +179,17 @@ fn a_boot_up_that_a_switch_has_dropped_is_sent_again_at_any_rate() {
 }
 
 #[test]
+fn a_heartbeat_that_a_switch_has_dropped_is_sent_at_once_at_any_rate() {
+    for rate in ["13 00 00", "13 00 02"] {
+        let mut board = NodeRig::with_heartbeat(0x40, 100);
+        board.configure(rate);
+        board.is_acknowledged = false;
+        assert_eq!(board.pass_ms(100), ["740: 7F"]);
+        assert_eq!(board.lss("15 00 00"), ["740: 7F"], "{rate}");
+    }
+}
+
+#[test]
 fn a_message_that_reset_communication_has_dropped_follows_the_boot_up() {
     let mut board = NodeRig::with_node_id(0x40);
     board.is_acknowledged = false;

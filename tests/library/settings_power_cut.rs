@@ -5,7 +5,7 @@
 use canopen_node::settings::{Found, Log};
 use testkit::{
     flash::{
-        Flash,
+        Flash, Left,
         Operation::{Erase, Read, Write},
     },
     power_cut::{
@@ -69,7 +69,12 @@ fn disturb<const P: usize, const W: usize, const E: usize>(
                 if fails && (!is_cut || expected.is_formatted) {
                     let operation = random.pick(&[Write, Write, Erase, Read]);
                     let others = random.within(0..if operation == Erase { 6 } else { steps });
-                    flash.fail_once(operation, others as usize);
+                    if operation != Read && random.one_in(4) {
+                        let left = random.pick(&[Left::Nothing, Left::SomeBits, Left::All]);
+                        flash.die_after(operation, others as usize, left);
+                    } else {
+                        flash.fail_once(operation, others as usize);
+                    }
                 }
             }
             let is_complete = expected.power_on(&flash, stores as usize);
@@ -115,8 +120,11 @@ fn a_start_erases_only_what_a_certain_record_replaces() {
                 let beginning = Flash::<W, E>::blank_with_sectors(2, random.u64());
                 let mut expected = Expected::<0>::nothing();
                 expected.power_on(&beginning, stores);
-                let steps = Expected::clone(&expected).steps(&beginning, 1);
-                for (back, fault) in (1..4).flat_map(|back| (0..30).map(move |it| (back, it))) {
+                let uncut = beginning.duplicate(0);
+                expected.clone().power_on(&uncut, 1);
+                let steps = uncut.writes() + uncut.erases();
+                let faults = (0..90).map(|number| (1 + number % 3, number % 20));
+                for (back, fault) in faults {
                     let flash = beginning.duplicate(random.u64());
                     let mut expected = expected.clone();
                     flash.cut_power_after(steps - back);
@@ -133,6 +141,30 @@ fn a_start_erases_only_what_a_certain_record_replaces() {
                     }
                 }
             }
+        }
+    }
+    with_each_kind(&mut Faults);
+}
+
+#[test]
+fn a_start_that_cannot_write_erases_nothing_with_any_unit() {
+    struct Faults;
+    impl EachKind for Faults {
+        fn run<const W: usize, const E: usize>(&mut self) {
+            let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+            // One of these stores moves to the other bank.
+            let erases = |n| {
+                Log::open(flash.clone()).0.store(settings(n)).unwrap();
+                let flash = flash.duplicate(n.into());
+                flash.fail(Write);
+                let found = open(&flash);
+                assert_eq!(found.0, Some(settings(n)), "unit of {W}: {:?}", found.1);
+                assert_eq!(flash.erases(), 0, "unit of {W}, {n} stores");
+                flash.repair();
+                open(&flash);
+                flash.erases()
+            };
+            assert!((1..12).map(erases).sum::<usize>() > 0, "a start that can write erases");
         }
     }
     with_each_kind(&mut Faults);

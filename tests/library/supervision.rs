@@ -347,13 +347,17 @@ fn a_request_in_a_pause_ends_it_and_is_answered() {
 }
 
 #[test]
-fn bus_off_at_an_unproven_rate_restarts_the_controller_and_pauses() {
+fn bus_off_at_an_unproven_rate_listens_for_a_pause_in_the_same_session() {
     let mut board = switched();
     board.is_acknowledged = false;
     board.see(BusOff);
     board.see(BusOff);
-    assert_eq!(board.timeline(), ["0 ms 50 kbit/s", "0 ms resume"], "a request can be received");
+    assert_eq!(board.timeline(), ["0 ms listen at 50 kbit/s"], "it destroys no frame of others");
+    board.pass_ms(700);
+    assert_eq!(board.timeline(), ["639 ms 50 kbit/s", "639 ms resume"]);
+    board.see(BusOff);
     board.is_acknowledged = true;
+    assert_eq!(board.lss("5E"), SILENCE, "it is repeated until someone acknowledges it");
     assert_eq!(board.lss("5E"), ["5E 40"]);
     board.timeline();
     board.see(BusOff);

@@ -176,9 +176,9 @@ impl Slave {
                 }
                 Next::Step(Step::TakePart(rate)) => Action::SetBitRate(rate),
                 Next::Step(Step::Listen(rate)) => {
-                    // It may miss the request to leave the LSS configuration state, and must take none meant for
-                    // others.
-                    if !self.bit_rate.is_detecting() {
+                    // Elsewhere it may miss the request to leave the LSS configuration state, and must take none meant
+                    // for others.
+                    if !self.bit_rate.is_detecting() && !self.bit_rate.is_trusted() {
                         self.lss.discard_session();
                     }
                     Action::Listen(rate)

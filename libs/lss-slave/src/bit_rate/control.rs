@@ -113,6 +113,11 @@ impl Control {
         self.supervision.is_detecting()
     }
 
+    /// Whether the rate was commanded so recently that no other is used.
+    pub const fn is_trusted(&self) -> bool {
+        self.supervision.is_trusted()
+    }
+
     /// Whether a switch is in progress.
     pub const fn is_switching(&self) -> bool {
         self.switch.is_some()

@@ -184,6 +184,11 @@ impl Supervision {
         matches!(self.place, Place::ListenToDetect)
     }
 
+    /// Whether only the commanded rate is used for a while.
+    pub const fn is_trusted(&self) -> bool {
+        self.trusted_until.is_some()
+    }
+
     /// Whether an event requires a step that has not been taken.
     pub const fn has_step(&self) -> bool {
         self.step.is_some()
@@ -267,10 +272,12 @@ impl Supervision {
             BusEvent::FormError if self.place != Place::ListenAtHome => {
                 self.handle_error(false, now);
             }
-            // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus.
+            // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus. A controller that
+            // takes part at once would destroy the frames of a master at another rate.
             BusEvent::BusOff if !self.is_proven && self.place == Place::Home => {
-                self.pause(now);
-                self.step = Some(Step::TakePart(self.home));
+                self.enter(Place::ListenAtHome, Some(self.pause_end(now)));
+                self.stays = MOST_STAYS;
+                self.step = Some(Step::Listen(self.home));
             }
             // A short circuit is no evidence of another rate.
             BusEvent::HeldDominant if self.is_listening() && !self.is_detecting() => {
@@ -381,8 +388,11 @@ impl Supervision {
     }
 
     fn pause(&mut self, now: Instant) {
-        let more = PAUSE_STEP_MICROS * (self.serial_number & 0xFF);
-        self.enter(Place::Pause, Some(now.plus_micros(PAUSE_MICROS + more)));
+        self.enter(Place::Pause, Some(self.pause_end(now)));
+    }
+
+    fn pause_end(&self, now: Instant) -> Instant {
+        now.plus_micros(PAUSE_MICROS + PAUSE_STEP_MICROS * (self.serial_number & 0xFF))
     }
 
     /// Becomes a guest.
