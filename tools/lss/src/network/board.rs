@@ -232,12 +232,17 @@ pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
         }
         session.all_wait = false;
         if let Some(id) = for_all {
-            session.carry_out(Request::ConfigureNodeId(*id)).map_err(|failure| match failure {
-                Failure::Refused(why) | Failure::NoAnswer(why) => Failure::Refused(format!(
-                    "a board may have a node-ID that is not stored: {why}: switch the power of all boards off and on"
-                )),
-                failure => failure,
-            })?;
+            match session.carry_out(Request::ConfigureNodeId(*id)) {
+                Ok(()) => {}
+                // The node had answered twice, and is in LSS waiting state.
+                Err(Failure::NoAnswer(_)) if *id != NONE => {}
+                Err(Failure::Refused(why) | Failure::NoAnswer(why)) => {
+                    return Err(Failure::Refused(format!(
+                        "a board may have a node-ID that is not stored: {why}: switch the power of all boards off and on"
+                    )));
+                }
+                Err(failure) => return Err(failure),
+            }
         }
         for (id, address) in nodes {
             session.carry_out(SelectAlone::new(address))?;
