@@ -214,18 +214,15 @@ pub fn ask_for_rest(session: &mut Session<'_>) -> Result<(), Failure> {
     Ok(session.bus.request(Request::InquireNodeId)?)
 }
 
-/// Takes back what an earlier run has left: a board without a node-ID that it could not bring to LSS waiting state would
-/// take a pending one there, and nobody has stored it.
+/// Takes back what an earlier run has left: a board that it could not bring to LSS waiting state would take a pending
+/// node-ID there, or at a reset of its communication, and nobody has stored it.
 pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
     session.uninterrupted(|session| {
-        let mut ids = std::mem::take(&mut session.bus.inquired);
-        if !ids.remove(&NONE) {
-            session.all_wait = false;
-            return Ok(());
-        }
-        // The request is for these, too.
+        let ids = std::mem::take(&mut session.bus.inquired);
+        // The request for boards without a node-ID is for all, and so is that for the only node.
+        let for_all = ids.last().filter(|id| **id == NONE || ids.len() == 1);
         let mut nodes = Vec::new();
-        for id in ids {
+        for &id in ids.iter().filter(|id| Some(*id) != for_all) {
             let mut numbers = [0; 4];
             for (number, sub_index) in numbers.iter_mut().zip(1..) {
                 *number = sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?
@@ -234,12 +231,19 @@ pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
             nodes.push((id, Address::from(numbers)));
         }
         session.all_wait = false;
-        session.carry_out(Request::ConfigureNodeId(NONE)).map_err(|failure| match failure {
-            Failure::Refused(why) | Failure::NoAnswer(why) => Failure::Refused(format!(
-                "a board may have a node-ID that is not stored: {why}: switch the power of all boards off and on"
-            )),
-            failure => failure,
-        })?;
+        if let Some(id) = for_all {
+            match session.carry_out(Request::ConfigureNodeId(*id)) {
+                Ok(()) => {}
+                // The node had answered twice, and is in LSS waiting state.
+                Err(Failure::NoAnswer(_)) if *id != NONE => {}
+                Err(Failure::Refused(why) | Failure::NoAnswer(why)) => {
+                    return Err(Failure::Refused(format!(
+                        "a board may have a node-ID that is not stored: {why}: switch the power of all boards off and on"
+                    )));
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
         for (id, address) in nodes {
             session.carry_out(SelectAlone::new(address))?;
             session.carry_out(Request::ConfigureNodeId(id))?;
@@ -256,11 +260,11 @@ pub fn end_earlier_run(session: &mut Session<'_>) -> Result<(), Failure> {
     take_back_rest(session)
 }
 
-/// A node in LSS configuration state beside boards without a node-ID, and without an LSS address that is known.
+/// A node in LSS configuration state beside other boards, and without an LSS address that is known.
 fn mixed(id: u8, why: &str) -> Failure {
     Failure::Refused(format!(
-        "boards without a node-ID and node {id} are in LSS configuration state together, and it does not tell its LSS \
-         address (object 1018h: {why}): switch the power of all boards off and on"
+        "node {id} and other boards are in LSS configuration state together, and it does not tell its LSS address (object \
+         1018h: {why}): switch the power of all boards off and on"
     ))
 }
 

@@ -195,15 +195,18 @@ fn a_node_id_that_nobody_stored_is_taken_back_before_apply() {
 }
 
 #[test]
-fn nodes_in_configuration_state_keep_their_node_ids_when_others_lose_theirs() {
-    let wire = Wire::new(RATE, &[5, 0xFF, 7]);
-    for raw in ["raw 04 01", "raw 11 01"] {
-        assert_eq!(wire.lss(raw).code, 0);
+fn nodes_in_configuration_state_keep_the_node_ids_that_they_have() {
+    for (before, after) in [(&[5, 0xFF, 7][..], &[5, 1, 7][..]), (&[5, 7], &[5, 7]), (&[5], &[5])] {
+        let wire = Wire::new(RATE, before);
+        for raw in ["raw 04 01", "raw 11 01"] {
+            assert_eq!(wire.lss(raw).code, 0);
+        }
+        assert_eq!(wire.lss("assign").code, 0);
+        // As an NMT master does at its start.
+        (0..before.len()).for_each(|board| wire.nmt(board, "82 00"));
+        let after: Vec<_> = after.iter().map(|id| (Some(*id), Some(*id))).collect();
+        assert_eq!(wire.ids(), after);
     }
-    assert_eq!(wire.lss("assign").code, 0);
-    // As an NMT master does at its start.
-    (0..3).for_each(|board| wire.nmt(board, "82 00"));
-    assert_eq!(wire.ids(), [5, 1, 7].map(|id| (Some(id), Some(id))));
 }
 
 #[test]

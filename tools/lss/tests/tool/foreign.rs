@@ -116,6 +116,18 @@ fn slaves_that_hold_one_frame_are_served() {
 }
 
 #[test]
+fn a_slave_that_holds_one_frame_is_not_missing_beside_one_that_is() {
+    let slaves = Slaves::new([one_frame(10)]);
+    let table = cargo::scratch("one-frame.toml");
+    let node = |id: u8, address: &str| format!("[[node]]\nid = {id}\naddress = \"{address}\"\n");
+    let text = node(1, "00000001:00000002:00000003:00000004") + &node(2, &slaves.address(0));
+    fs::write(&table, text).expect("a table");
+    let outcome = slaves.lss(&format!("assign --table {}", table.display()));
+    let missing = "node 1 of the table is missing: 00000001:00000002:00000003:00000004";
+    assert_eq!((outcome.code, &*outcome.error), (1, missing));
+}
+
+#[test]
 fn slaves_that_hold_one_frame_are_identified() {
     let slaves = Slaves::new([one_frame(1), one_frame(1)]);
     let Address { vendor_id, product_code, .. } = ADDRESS;

@@ -124,8 +124,11 @@ impl Wire {
             (rig, Habits { answer_us: 0..1, store_us: 0, ..Habits::default() })
         };
         let boards = node_ids.iter().enumerate().map(board);
+        let mut bus = SlaveBus::new(boards, Random::from_seed(1));
+        // Nobody hears the boot-up messages.
+        bus.pass_us(100 * FRAME_US);
         Self {
-            adapter: BusAdapter::new(SlaveBus::new(boards, Random::from_seed(1))),
+            adapter: BusAdapter::new(bus),
             record: Rc::default(),
             is_interrupted: Arc::default(),
         }

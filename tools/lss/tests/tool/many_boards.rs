@@ -217,25 +217,27 @@ fn interference(random: &mut Random, addresses: &[Address], number: u64) -> Vec<
     requests.iter().map(|request| frames::request(request)).collect()
 }
 
-/// Runs the tool until it is content, and does what it says if boards share a node-ID.
+/// Runs the tool until it is content, and does what it says if boards share a node-ID, or if one has that of another.
 fn finish(slaves: &Slaves, assign: &str) {
-    let shared = || twice(&slaves.active());
     for _ in 0..8 {
         let outcome = slaves.lss(assign);
+        let active = slaves.active();
         if outcome.code == 0 {
-            assert_eq!(shared(), [].into(), "the tool is content");
+            assert_eq!(twice(&active), [].into(), "the tool is content");
             return;
         }
-        let Some(id) = shared().pop_first() else { continue };
-        if outcome.error.contains(&format!("boards have node-ID {}", id.get())) {
-            let active = slaves.active();
-            let one = active.iter().rposition(|active| *active == Some(id)).expect("it has it");
-            let free = (1..=127).rev().find(|free| !active.contains(&NodeId::new(*free)));
-            let address = text(slaves.addresses()[one]);
-            let free = free.expect("fewer than 127 slaves");
-            slaves
-                .lss(&format!("set-id {free} --store --reset --bit-rate 1000 --address {address}"));
-        }
+        let is_named = |id: &NodeId| {
+            let id = id.get();
+            ["boards have", "another board has"]
+                .iter()
+                .any(|who| outcome.error.contains(&format!("{who} node-ID {id}, w")))
+        };
+        let Some(id) = (1..=127).filter_map(NodeId::new).find(is_named) else { continue };
+        let one = active.iter().rposition(|active| *active == Some(id)).expect("it has it");
+        let free = (1..=127).rev().find(|free| !active.contains(&NodeId::new(*free)));
+        let address = text(slaves.addresses()[one]);
+        let free = free.expect("fewer than 127 slaves");
+        slaves.lss(&format!("set-id {free} --store --reset --bit-rate 1000 --address {address}"));
     }
     panic!("the tool does not finish");
 }
