@@ -69,7 +69,7 @@ impl Scale {
         Self::new(times, left, per_second, longest.as_secs_f64() * per_second)
     }
 
-    /// The place of a time. One before the first or after the last is there.
+    /// The place of a time; that of the first or the last for a time outside of them.
     pub fn x(&self, time: Duration) -> f64 {
         let after = self.known.partition_point(|(known, _)| *known <= time);
         let next = self.known.get(after).map(|(_, x)| *x);

@@ -52,8 +52,8 @@ use core::iter;
 use lss_slave::bytes::copy;
 
 use crate::{
+    count::{Count, Declares},
     nmt::ErrorBehaviour,
-    numbers::{Count, Declares},
     object_dictionary::{Description, Entry},
     pdo::declaration::{Rpdo, Tpdo},
     sdo::{self, Abort},

@@ -57,18 +57,20 @@ mod sync;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+mod count;
 mod declaration_error;
 mod device;
 mod node;
 mod numbers;
 
 pub use application::Application;
+pub use count::Count;
 pub use device::Device;
 pub use lss_slave::{
     BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, InvalidNodeId, NodeId, Settings,
     bit_rate, lss, settings,
 };
 pub use node::{Action, Node, Receives};
-pub use numbers::{Count, Numbers};
+pub use numbers::Numbers;
 #[doc(hidden)]
 pub use pastey;

@@ -22,7 +22,7 @@ use crate::{
     declaration_error::DeclarationError,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
-    numbers::{Declares, Element, List, Numbers},
+    numbers::{Element, List, Numbers},
     object_dictionary::{Entry, Object},
     sdo::Abort,
     sync::{self, Sync},
@@ -68,12 +68,9 @@ pub(crate) struct Pdos<N: Numbers> {
 }
 
 impl<N: Numbers> Configuration<N> {
-    /// The parameters of a new device, as the application declares them. A wrong declaration does not compile.
-    pub const fn declared<A: Application>() -> Self
-    where
-        N: Declares<A>,
-    {
-        Self { tpdos: N::DECLARED_TPDOS, rpdos: N::DECLARED_RPDOS, sync: Sync::new() }
+    /// The parameters of a device with these PDOs, without SYNC parameters.
+    pub const fn new(tpdos: N::Tpdos<Pdo>, rpdos: N::Rpdos<Pdo>) -> Self {
+        Self { tpdos, rpdos, sync: Sync::new() }
     }
 }
 

@@ -4,11 +4,11 @@ use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
-    application::Event,
+    application::event::Event,
     declaration_error::DeclarationError,
     emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
     nmt,
-    numbers::{Declares, Element, List, Numbers},
+    numbers::{Element, List, Numbers},
     object_dictionary::{
         Access::{Const, ReadWrite},
         DataType::{Unsigned8, Unsigned32},
@@ -138,12 +138,9 @@ impl<N: Numbers> Consumer<N> {
 }
 
 impl<N: Numbers> Producers<N> {
-    /// The entries of a new device.
-    pub const fn declared<A: Application>() -> Self
-    where
-        N: Declares<A>,
-    {
-        Self(N::DECLARED_PRODUCERS)
+    /// These entries.
+    pub const fn new(producers: N::Producers<Producer>) -> Self {
+        Self(producers)
     }
 
     /// The greatest number of bytes that the stored entries take.

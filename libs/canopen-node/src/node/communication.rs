@@ -5,13 +5,14 @@ use core::mem;
 
 use crate::{
     Application, Frame, Instant, NodeId,
+    count::Declares,
     emergency::{self, Emergency},
     heartbeat::{
         self,
         consumer::{self, Consumer, Producers},
     },
     nmt::{ErrorBehaviour, slave::NmtSlave},
-    numbers::{Declares, Numbers},
+    numbers::Numbers,
     object_dictionary::{DefaultValue, Description, Entry, Object},
     pdo::{self, Pdos},
     sdo::Abort,
@@ -266,8 +267,8 @@ impl<N: Numbers> Configuration<N> {
             );
         }
         Self {
-            pdos: pdo::Configuration::declared::<A>(),
-            producers: Producers::declared::<A>(),
+            pdos: pdo::Configuration::new(N::DECLARED_TPDOS, N::DECLARED_RPDOS),
+            producers: Producers::new(N::DECLARED_PRODUCERS),
             heartbeat_ms,
             error_behaviour: A::ERROR_BEHAVIOUR,
             emergency: emergency::Configuration::DEFAULT,

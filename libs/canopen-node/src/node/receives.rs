@@ -2,7 +2,7 @@
 
 use core::{array, iter};
 
-use crate::numbers::{Count, Numbers};
+use crate::{count::Count, numbers::Numbers};
 
 /// The COB-IDs of the frames that a node uses. An unused place repeats the COB-ID of LSS requests, 7E5h.
 #[derive(Clone, Copy, Debug)]
