@@ -2,6 +2,7 @@
 
 mod adc;
 mod can_pins;
+mod crc;
 mod finding;
 mod flash;
 mod g4;
@@ -33,6 +34,7 @@ pub use variant::{ChipVariant, StartUp};
 
 use std::ops::BitOr;
 
+use crc::Crc;
 use iwdg::Iwdg;
 use map::{Block, is_on_apb};
 use part::Family;
@@ -70,6 +72,7 @@ pub struct Chip {
     /// USART1 to USART6 of an STM32F4.
     usarts: Vec<Usart>,
     rng: Rng,
+    crc: Crc,
     rtc: Rtc,
     gpio: Gpio,
     syscfg: Syscfg,
@@ -128,6 +131,7 @@ impl Chip {
             timers: timer::KINDS.iter().map(Timer::new).collect(),
             usarts: usart::KINDS.iter().map(Usart::new).collect(),
             rng: Rng::new(),
+            crc: Crc::new(),
             rtc: Rtc::new(),
             gpio: Gpio::new(part),
             syscfg: Syscfg::default(),
@@ -325,7 +329,7 @@ impl Chip {
             .chain((0..self.usarts.len()).map(Block::Usart))
             .chain((0..self.gpio.len()).map(Block::Gpio))
             .chain((0..self.cans.len()).map(Block::Can))
-            .chain([Block::Pwr, Block::Rng, Block::Adc, Block::Syscfg])
+            .chain([Block::Pwr, Block::Rng, Block::Crc, Block::Adc, Block::Syscfg])
     }
 
     fn is_clocked(&self, block: Block) -> bool {
@@ -385,6 +389,7 @@ impl Chip {
             Block::Timer(timer) => &mut self.timers[timer],
             Block::Usart(usart) => &mut self.usarts[usart],
             Block::Rng => &mut self.rng,
+            Block::Crc => &mut self.crc,
             Block::Rtc => &mut self.rtc,
             Block::Iwdg => &mut self.iwdg,
             Block::Adc => &mut self.adc,
@@ -427,6 +432,11 @@ impl Chip {
         let shift = 8 * (address & 3);
         let word = match width {
             Width::Word => value,
+            // RM0090 4.4: by words only.
+            _ if block == Block::Crc => {
+                self.report(access, Some(value), Problem::Width);
+                return Ok(());
+            }
             _ if block == Block::FlashRegisters && !self.flash.takes_narrow_writes(offset & !3) => {
                 self.report(access, Some(value), Problem::Width);
                 return Ok(());

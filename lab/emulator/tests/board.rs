@@ -252,6 +252,53 @@ fn an_erase_does_not_stall_a_program_that_runs_from_ram() {
 }
 
 #[test]
+fn an_erase_stalls_a_load_from_flash_by_a_program_in_ram() {
+    // On the STM32F427, sector 16 lies in the other bank than what is loaded.
+    for (part, sector, is_stalled) in
+        [(Part::Stm32f405, 1, true), (Part::Stm32f427, 1, true), (Part::Stm32f427, 16, false)]
+    {
+        for address in [0x0800_C000, 0x0000_C000] {
+            let mut program = Program::new();
+            program.store(COUNTER, 0).store(FLASH_KEYR, 0x4567_0123).store(FLASH_KEYR, 0xCDEF_89AB);
+            program.store(FLASH_CR, 0x0001_0202 | sector << 3).load(R1, address);
+            program.store_register(COUNTER, R1).stop();
+            let mut board = Board::new(part, &program.in_ram().image(), Settings::default());
+            board.set_flash(0xC000, &[1, 0, 0, 0]);
+            run(&mut board, Time::from_ms(250));
+            let case = format!("{part:?}, sector {sector}, {address:#x}");
+            assert_eq!(word(&board, COUNTER), u32::from(!is_stalled), "{case}");
+            run(&mut board, Time::from_ms(252));
+            assert_eq!(word(&board, COUNTER), 1, "{case}");
+        }
+    }
+}
+
+#[test]
+fn an_erase_stalls_an_interrupt_only_if_its_vector_is_in_the_flash() {
+    const VTOR: u32 = 0xE000_ED08;
+    const VECTORS: u32 = 0x2000_0800;
+    let program = |vectors: Option<u32>| {
+        let mut program = Program::new();
+        program.store(COUNTER, 0).store(FLASH_KEYR, 0x4567_0123).store(FLASH_KEYR, 0xCDEF_89AB);
+        if let Some(handler) = vectors {
+            program.store(VECTORS + 4 * SYSTICK as u32, handler).store(VTOR, VECTORS);
+        }
+        program.store(FLASH_CR, 0x0001_020A).store(SYST_RVR, 15_999).store(SYST_CSR, 7).stop();
+        let handler = program.here() - 0x0800_0200 + 0x2000_1001;
+        program.handler(SYSTICK).load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1).back();
+        (program.in_ram(), handler)
+    };
+    let counted = |program| {
+        let mut board = board(program);
+        run(&mut board, Time::from_ms(250));
+        word(&board, COUNTER)
+    };
+    assert_eq!(counted(program(None).0), 0);
+    let handler = program(Some(0)).1;
+    assert!((240..250).contains(&counted(program(Some(handler)).0)));
+}
+
+#[test]
 fn a_staged_power_cut_switches_the_board_off_in_the_middle_of_an_erase() {
     let mut board = board(eraser());
     board.set_flash(0x4000, &[0; 0x4000]);

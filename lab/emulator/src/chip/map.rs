@@ -25,6 +25,7 @@ pub(super) enum Block {
     Usart(usize),
     Rtc,
     Rng,
+    Crc,
     Iwdg,
     Can(usize),
     /// ADC1 and the common registers.
@@ -50,6 +51,7 @@ impl Block {
             0x4000_0000..0x4001_0000 => Self::at((Apb::One, address >> 10 & 0x3F)),
             0x4001_0000..0x4002_0000 => Self::at((Apb::Two, address >> 10 & 0x3F)),
             0x4002_0000..0x4002_2C00 => Self::Gpio((address >> 10 & 0xF) as usize),
+            0x4002_3000..0x4002_3400 => Self::Crc,
             0x4002_3800..0x4002_3C00 => Self::Rcc,
             0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
             0xE004_2000..0xE004_2400 => Self::Dbgmcu,
@@ -110,6 +112,7 @@ impl Block {
             Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
             Self::Rng | Self::Adc | Self::Usart(_) if is_g4 => return None,
             Self::Syscfg if is_g4 => (Apb::Two, 0),
+            Self::Crc => return Some((rcc::AHB1ENR, 12)),
             Self::Rng => return Some((rcc::AHB2ENR, 6)),
             Self::Timer(timer) => timer::KINDS[timer].place,
             Self::Usart(usart) => usart::KINDS[usart].place,

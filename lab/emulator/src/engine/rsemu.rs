@@ -50,8 +50,6 @@ pub struct Rsemu {
     /// The CPU does nothing before this cycle.
     stalled_until: u64,
     is_halted: bool,
-    /// Whether the flash is busy, so that every fetch has to be checked.
-    flash_busy: bool,
     /// The cycles of the last instruction, if it was a jump to itself.
     spin: Option<u64>,
     /// The factor by which an instruction's cycles are multiplied.
@@ -96,7 +94,6 @@ impl Rsemu {
             asleep_cycles: 0,
             stalled_until: 0,
             is_halted: false,
-            flash_busy: false,
             spin: None,
             slowdown: variant.slowdown.max(1).into(),
             flash_waits: variant.flash_waits,
@@ -305,7 +302,8 @@ impl Rsemu {
         if let Some(end) = chip.stalled_until(pc, now) {
             self.stalled_until = self.clock.cycle_at(end);
         }
-        self.flash_busy = chip.flash().operation_end().is_some_and(|end| end > now);
+        let is_busy = chip.flash().operation_end().is_some_and(|end| end > now);
+        self.link.flash_busy.store(is_busy, Relaxed);
     }
 
     fn store(&self, address: u32, length: usize) -> Option<(&RamStore, u64)> {
@@ -337,7 +335,7 @@ impl Engine for Rsemu {
             true => u64::MAX,
             false => self.clock.cycle_at(Time::from_ps(reached) + hold),
         };
-        self.flash_busy = false;
+        self.link.flash_busy.store(false, Relaxed);
         self.spin = None;
         *self.link.accelerator() = Accelerator::new();
         self.sync_flash();
@@ -375,14 +373,15 @@ impl Engine for Rsemu {
             return Halt::Deadline;
         }
         while self.cycles < target {
-            if self.flash_busy {
+            if self.link.flash_busy.load(Relaxed) {
                 self.check_stall(self.cpu.pc());
             }
             if self.stalled_until > self.cycles {
                 self.skip(self.stalled_until.min(target) - self.cycles);
                 continue;
             }
-            let may_be_fast = !self.flash_busy && !self.flash_waits;
+            let is_busy = self.link.flash_busy.load(Relaxed);
+            let may_be_fast = !is_busy && !self.flash_waits;
             if may_be_fast && self.run_fast(target) > 0 {
                 if let Some(halt) = self.after_step(until, &mut target) {
                     return halt;
@@ -395,6 +394,10 @@ impl Engine for Rsemu {
             self.settled = None;
             let used = self.cpu.step();
             self.cycles += used;
+            if is_busy {
+                let end = self.link.load_waits_until.swap(0, Relaxed);
+                self.stalled_until = self.stalled_until.max(end);
+            }
             if self.slowdown > 1 && !self.cpu.is_asleep() {
                 self.skip(used * (self.slowdown - 1));
             }

@@ -4,6 +4,7 @@ mod adc;
 mod bxcan;
 mod clocks;
 mod controllers;
+mod crc;
 mod fdcan;
 mod flash;
 mod g4;

@@ -121,10 +121,14 @@ impl Program {
         self.emit(&[0x4770])
     }
 
-    /// The same program behind a start that copies it to RAM and continues there.
+    /// The same program behind a start that copies it to RAM and continues there. The vector table stays in the flash.
     pub fn in_ram(self) -> Self {
         const START_HALFWORDS: u32 = 22;
         let mut program = Self::new();
+        let code = program.here();
+        for (vector, handler) in program.vectors.iter_mut().zip(self.vectors).skip(2) {
+            *vector = handler.checked_sub(code).map_or(0, |offset| RAM_CODE + offset);
+        }
         let from = program.here() + 2 * START_HALFWORDS;
         let words = self.code.len().div_ceil(2) as u32;
         program.set(R0, from).set(R1, RAM_CODE).set(R2, RAM_CODE + 4 * words);

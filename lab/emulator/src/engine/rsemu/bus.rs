@@ -33,6 +33,10 @@ pub struct Link {
     pub pc: AtomicU32,
     /// Whether the instruction stored to the chip.
     pub written: AtomicBool,
+    /// Whether the flash may be busy, so that each read of it has to be checked.
+    pub flash_busy: AtomicBool,
+    /// The cycle until which a load or the read of a vector waits for a busy bank; 0 if none does.
+    pub load_waits_until: AtomicU64,
     clock: Mutex<CycleClock>,
     accelerator: Mutex<Accelerator>,
 }
@@ -43,6 +47,8 @@ impl Link {
             cycles: AtomicU64::new(0),
             pc: AtomicU32::new(0),
             written: AtomicBool::new(false),
+            flash_busy: AtomicBool::new(false),
+            load_waits_until: AtomicU64::new(0),
             clock: Mutex::new(clock),
             accelerator: Mutex::new(Accelerator::new()),
         }
@@ -104,47 +110,63 @@ impl MemOps for Aperture {
     }
 }
 
-/// Reads of the flash, with their wait states.
+/// Reads of the flash: a bank that programs or erases stalls them, they have wait states if the chip's variant asks for
+/// them, and the error correction of an STM32G4 finds double errors.
 #[derive(Debug)]
-struct SlowFlash {
-    base: u32,
-    flash: Arc<RamStore>,
-    link: Arc<Link>,
-}
-
-impl MemOps for SlowFlash {
-    fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {
-        if !attrs.debug {
-            let (address, cycle) = (self.base + offset as u32, self.link.cycles.load(Relaxed));
-            let mut accelerator = self.link.accelerator();
-            if attrs.is_fetch() {
-                accelerator.fetch(address, cycle);
-            } else {
-                accelerator.load(address, cycle);
-            }
-        }
-        self.flash.read_at(offset, dst)
-    }
-
-    fn write(&self, _: u64, _: &[u8], _: MemAttrs) -> MemResult {
-        Err(BusError::Unassigned)
-    }
-}
-
-/// Reads of the flash of an STM32G4, whose error correction finds double errors.
-#[derive(Debug)]
-struct CorrectedFlash {
+struct FlashReads {
+    extra: Extra,
     flash: Arc<RamStore>,
     chip: Aperture,
 }
 
-impl MemOps for CorrectedFlash {
+/// What reads of the flash do beside reading.
+#[derive(Clone, Copy, Debug)]
+enum Extra {
+    Nothing,
+    WaitStates,
+    Correction,
+}
+
+impl FlashReads {
+    /// Notes the end of the wait for a busy bank. The engine itself holds back fetches.
+    fn wait_for_bank(&self, offset: u32) -> MemResult {
+        let link = &self.chip.link;
+        let clock = *link.clock.lock().map_err(|_| BusError::BadAccess)?;
+        let now = clock.time_at(link.cycles.load(Relaxed));
+        let chip = self.chip.chip.lock().map_err(|_| BusError::BadAccess)?;
+        if let Some(end) = chip.flash().busy_until(offset, now) {
+            link.load_waits_until.store(clock.cycle_at(end), Relaxed);
+        }
+        Ok(())
+    }
+}
+
+impl MemOps for FlashReads {
     fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {
-        if !attrs.debug {
-            let mut chip = self.chip.chip.lock().map_err(|_| BusError::BadAccess)?;
-            chip.flash_mut().note_read(offset as u32, dst.len() as u32);
-            if chip.nmi() {
-                self.chip.link.written.store(true, Relaxed);
+        if attrs.debug {
+            return self.flash.read_at(offset, dst);
+        }
+        let link = &self.chip.link;
+        if !attrs.is_fetch() && link.flash_busy.load(Relaxed) {
+            self.wait_for_bank(offset as u32)?;
+        }
+        match self.extra {
+            Extra::Nothing => {}
+            Extra::WaitStates => {
+                let (address, cycle) = (FLASH_BASE + offset as u32, link.cycles.load(Relaxed));
+                let mut accelerator = link.accelerator();
+                if attrs.is_fetch() {
+                    accelerator.fetch(address, cycle);
+                } else {
+                    accelerator.load(address, cycle);
+                }
+            }
+            Extra::Correction => {
+                let mut chip = self.chip.chip.lock().map_err(|_| BusError::BadAccess)?;
+                chip.flash_mut().note_read(offset as u32, dst.len() as u32);
+                if chip.nmi() {
+                    link.written.store(true, Relaxed);
+                }
             }
         }
         self.flash.read_at(offset, dst)
@@ -177,7 +199,7 @@ pub struct Space {
     pub chip: Aperture,
     flash: Arc<RamStore>,
     ram: Arc<RamStore>,
-    reads: Reads,
+    extra: Extra,
     /// What lies at address 0, and its place among the mappings.
     at_zero: (AtZero, MappingId),
 }
@@ -194,19 +216,19 @@ impl Space {
         let map = |mapping| {
             shared.topology().map_with(mapping).expect("every range lies in the 32-bit space")
         };
-        let reads = match part {
-            Part::Stm32g431 => Reads::Corrected,
-            _ if variant.flash_waits => Reads::Slow,
-            _ => Reads::Plain,
+        let extra = match part {
+            Part::Stm32g431 => Extra::Correction,
+            _ if variant.flash_waits => Extra::WaitStates,
+            _ => Extra::Nothing,
         };
         let aperture = Aperture { base: 0, chip: Arc::clone(chip), link: Arc::clone(link) };
-        let at_zero = map(code("flash at 0", flash, &aperture, reads, 0));
+        let at_zero = map(code("flash at 0", flash, &aperture, extra, 0));
         let io = |name: &str, base: u32, length: u64| {
             let region = Region::io(name, length, Arc::new(Aperture { base, ..aperture.clone() }));
             Mapping::new(region, base.into()).with_perms(Perms::RW)
         };
         let mut mappings = vec![
-            code("flash", flash, &aperture, reads, FLASH_BASE),
+            code("flash", flash, &aperture, extra, FLASH_BASE),
             io("flash programming", FLASH_BASE, flash.len()).with_perms(Perms::WRITE),
             io("system memory", SYSTEM_BASE, SYSTEM_LENGTH).with_perms(Perms::RWX),
             memory("sram", ram, RAM_BASE, Perms::RWX),
@@ -233,7 +255,7 @@ impl Space {
             chip: aperture,
             flash: Arc::clone(flash),
             ram: Arc::clone(ram),
-            reads,
+            extra,
             at_zero: (AtZero::Flash, at_zero),
         }
     }
@@ -249,7 +271,7 @@ impl Space {
         }
         self.at_zero.0 = what;
         let mapping = match what {
-            AtZero::Flash => code("flash at 0", &self.flash, &self.chip, self.reads, 0),
+            AtZero::Flash => code("flash at 0", &self.flash, &self.chip, self.extra, 0),
             AtZero::Sram => memory("sram at 0", &self.ram, 0, Perms::RWX),
             AtZero::System => {
                 let aperture = Arc::new(Aperture { base: SYSTEM_BASE, ..self.chip.clone() });
@@ -266,22 +288,9 @@ fn memory(name: &str, store: &Arc<RamStore>, base: u32, perms: Perms) -> Mapping
     Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
 }
 
-/// What reads of the flash do beside reading.
-#[derive(Clone, Copy)]
-enum Reads {
-    Plain,
-    Slow,
-    Corrected,
-}
-
 /// The flash for fetches and loads, at its address or at 0. Both have the same lines in the caches.
-fn code(name: &str, flash: &Arc<RamStore>, chip: &Aperture, reads: Reads, base: u32) -> Mapping {
-    let (store, link) = (Arc::clone(flash), Arc::clone(&chip.link));
-    let reads: Arc<dyn MemOps> = match reads {
-        Reads::Plain => return memory(name, flash, base, Perms::RX),
-        Reads::Slow => Arc::new(SlowFlash { base: FLASH_BASE, flash: store, link }),
-        Reads::Corrected => Arc::new(CorrectedFlash { flash: store, chip: chip.clone() }),
-    };
-    let region = Region::io(name, flash.len(), reads);
+fn code(name: &str, flash: &Arc<RamStore>, chip: &Aperture, extra: Extra, base: u32) -> Mapping {
+    let reads = FlashReads { extra, flash: Arc::clone(flash), chip: chip.clone() };
+    let region = Region::io(name, flash.len(), Arc::new(reads));
     Mapping::new(region, base.into()).with_perms(Perms::RX)
 }

@@ -1,6 +1,6 @@
 //! Synchronisation of the core with the chip's interrupts, clock and flash.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::Ordering::Relaxed};
 
 use rsemu::cpu::arm::v7m::sys::Exception;
 
@@ -53,7 +53,7 @@ impl Rsemu {
         let mut chip = lock(&chip);
         self.sync(&chip);
         self.take_flash(&mut chip);
-        self.flash_busy = chip.flash().operation_end().is_some();
+        self.link.flash_busy.store(chip.flash().operation_end().is_some(), Relaxed);
         if chip.take_can_written() {
             Some(Halt::CanWritten)
         } else if chip.next_event() < until {
