@@ -2,7 +2,7 @@
 
 use core::{
     mem::MaybeUninit,
-    sync::atomic::{AtomicBool, AtomicU32, Ordering},
+    sync::atomic::{AtomicBool, AtomicU16, Ordering},
 };
 
 use canopen_node::indicator;
@@ -29,13 +29,12 @@ const TASKS: usize = 16;
 /// Whether each task has yet to answer: none before the first roll call.
 static ABSENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
 
-/// A bit for each task that the latest roll call has missed; the upper half is its complement. A reset by the watchdog
-/// leaves it.
+/// A bit for each task that the latest roll call has missed. A reset by the watchdog leaves it.
 #[unsafe(link_section = ".uninit.SILENT")]
-static SILENT: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
+static SILENT: MaybeUninit<AtomicU16> = MaybeUninit::uninit();
 
 /// The tasks that have missed a roll call.
-fn silent() -> &'static AtomicU32 {
+fn silent() -> &'static AtomicU16 {
     // SAFETY: the RAM has some content, and a number may have any.
     unsafe { SILENT.assume_init_ref() }
 }
@@ -43,20 +42,22 @@ fn silent() -> &'static AtomicU32 {
 /// Logs a reset by the watchdog, with the tasks that were silent before it.
 pub(crate) fn log_reset() {
     defmt::warn!("reset by the watchdog: a task did not run in time");
-    let stored = silent().load(Ordering::Relaxed);
-    let silent = stored as u16;
-    if silent == 0 || silent != !(stored >> 16) as u16 {
+    let silent = silent().load(Ordering::Relaxed);
+    if silent == 0 {
         defmt::warn!("silent: `init`, or the task of TIM2, or one of its priority or above");
         return;
     }
-    for number in (0..TASKS as u8).filter(|number| silent >> number & 1 == 1) {
-        match number {
-            0 => defmt::warn!("silent: the task of CAN RX0"),
-            1 => defmt::warn!("silent: the task of CAN TX"),
-            2 => defmt::warn!("silent: the task of CAN SCE"),
-            3 => defmt::warn!("silent: the task that stores"),
-            4 => defmt::warn!("silent: `idle`, as a task above it did not end"),
-            _ => defmt::warn!("silent: Task::own({=u8})", number - 5),
+    let own = [
+        defmt::intern!("the task of CAN RX0"),
+        defmt::intern!("the task of CAN TX"),
+        defmt::intern!("the task of CAN SCE"),
+        defmt::intern!("the task that stores"),
+        defmt::intern!("`idle`"),
+    ];
+    for number in (0..TASKS).filter(|number| silent >> number & 1 == 1) {
+        match own.get(number) {
+            Some(task) => defmt::warn!("silent: {=istr}", task),
+            None => defmt::warn!("silent: Task::own({=u8})", (number - own.len()) as u8),
         }
     }
 }
@@ -135,7 +136,7 @@ impl Watchdog {
             missing |= u16::from(absent.load(Ordering::Relaxed)) << number & self.expected;
             absent.store(true, Ordering::Relaxed);
         }
-        silent().store(u32::from(!missing) << 16 | u32::from(missing), Ordering::Relaxed);
+        silent().store(missing, Ordering::Relaxed);
         if missing == 0 {
             self.feed();
         }
