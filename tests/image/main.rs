@@ -20,6 +20,7 @@ mod medium_faults;
 mod node_id;
 mod overload;
 mod power_cut;
+mod product;
 mod rare_moments;
 mod rare_searches;
 mod rates_bus_off;

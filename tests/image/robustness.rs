@@ -10,19 +10,27 @@ const RETURN: [u8; 2] = [0x70, 0x47];
 const UNDEFINED: [u8; 2] = [0x00, 0xDE];
 
 #[test]
-fn the_watchdog_resets_a_board_whose_tasks_hang_or_do_nothing() {
-    // The last one is the task that stores.
-    const HANDLERS: [&str; 5] = ["CAN1_RX0", "CAN1_TX", "CAN1_SCE", "TIM2", "USART1"];
-    // A reception that does nothing serves its FIFO in vain.
-    let hung = HANDLERS.map(|handler| (handler, JUMP_TO_ITSELF));
-    let idle = HANDLERS[1..].iter().map(|handler| (*handler, RETURN));
-    for (handler, instruction) in hung.into_iter().chain(idle) {
+fn the_watchdog_resets_a_board_and_the_log_names_the_silent_task() {
+    const ALL_STOP: &str = "silent: `init`, or the task of TIM2, or one of its priority or above";
+    // The last one is the task that stores. A reception that does nothing serves its FIFO in vain.
+    for (handler, instruction, named) in [
+        ("CAN1_RX0", JUMP_TO_ITSELF, ALL_STOP),
+        ("CAN1_TX", JUMP_TO_ITSELF, ALL_STOP),
+        ("CAN1_SCE", JUMP_TO_ITSELF, ALL_STOP),
+        ("TIM2", JUMP_TO_ITSELF, ALL_STOP),
+        ("USART1", JUMP_TO_ITSELF, "silent: the task that stores"),
+        ("CAN1_TX", RETURN, "silent: the task of CAN TX"),
+        ("CAN1_SCE", RETURN, "silent: the task of CAN SCE"),
+        ("TIM2", RETURN, ALL_STOP),
+        ("USART1", RETURN, "silent: the task that stores"),
+    ] {
         let mut rig = node_40(0);
         let time = replace_until_reset(&mut rig, code(handler), &instruction, ResetCause::Watchdog);
         assert!(time < Time::from_ms(2_500), "{handler}: {time}");
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
         assert_eq!(rig.lss("5E"), SILENCE, "in waiting state");
         assert!(rig.has_logged("reset by the watchdog"), "{handler}");
+        assert!(rig.has_logged(named), "{handler}: {named}");
     }
 }
 
@@ -33,6 +41,7 @@ fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
     let time = replace_until_reset(&mut rig, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
     assert!(time < Time::from_ms(2_500), "{time}");
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    assert!(rig.has_logged("silent: `idle`"));
 }
 
 #[test]

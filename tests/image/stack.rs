@@ -27,11 +27,11 @@ fn all_variables_lie_above_the_stack_and_nothing_lies_below_it() {
     assert_eq!(vectors[..4], stack.end.to_le_bytes(), "the stack pointer out of a reset");
 }
 
-/// `push {r0-r7}` and a jump back to it.
-const PUSH_FOR_EVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
+/// `push {lr}` and a call of it.
+const CALL_FOR_EVER: [u8; 6] = [0x00, 0xB5, 0xFF, 0xF7, 0xFD, 0xFF];
 
 #[test]
-fn a_stack_overflow_is_logged_reaches_no_variable_and_ends_in_a_reset() {
+fn a_stack_overflow_is_logged_with_its_place_and_reaches_no_variable() {
     // By priority, the highest first; and a chip on which nothing faults below the RAM.
     for (handler, most_ms, no_fault_below_ram) in
         [("TIM2", 60, false), ("CAN1_RX0", 600, false), ("USART1", 600, false), ("TIM2", 60, true)]
@@ -45,12 +45,14 @@ fn a_stack_overflow_is_logged_reaches_no_variable_and_ends_in_a_reset() {
             (above, guard)
         };
         let (before, from) = (memory(&rig), rig.network.now());
-        let reset_at = reset_by(&mut rig, code(handler), &PUSH_FOR_EVER, ResetCause::Software);
+        let reset_at = reset_by(&mut rig, code(handler), &CALL_FOR_EVER, ResetCause::Software);
         assert!(reset_at < from + Time::from_ms(most_ms), "{handler}: {}", reset_at - from);
         assert!(memory(&rig) == before, "{handler}");
         rig.boot(0, reset_at);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
-        assert!(rig.has_logged("stack overflow, resetting"), "{handler}");
+        let behind_call = FLASH_BASE + code(handler) + CALL_FOR_EVER.len() as u32;
+        let line = format!("stack overflow below the call before {behind_call:#x}, resetting");
+        assert!(rig.has_logged(&line), "{handler}");
     }
 }
 

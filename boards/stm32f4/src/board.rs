@@ -18,7 +18,7 @@ use crate::{
     runner::{Runner, Storage},
     start,
     supply::Supply,
-    watchdog::Watchdog,
+    watchdog::{self, Watchdog},
 };
 
 /// The peripherals that the board uses. All others are the product's.
@@ -102,7 +102,7 @@ pub fn serial_number() -> u32 {
 fn log_reset_cause(rcc: &RCC) {
     let cause = rcc.csr().read();
     if cause.wdgrstf().bit_is_set() {
-        defmt::warn!("reset by the watchdog: a task did not run in time");
+        watchdog::log_reset();
     } else if crystal::has_failed() {
         defmt::error!("reset because the crystal stopped");
     } else if cause.sftrstf().bit_is_set() {

@@ -8,12 +8,15 @@ use cortex_m::{
 };
 use cortex_m_rt::ExceptionFrame;
 
-// SAFETY: `memory.x` defines both; only their addresses are used.
+// SAFETY: the linker scripts define them; only their addresses are used.
 unsafe extern "C" {
     /// The first byte of the stack and of the RAM (`memory.x`).
     static _stack_end: u8;
     /// The first byte behind the stack.
     static _stack_start: u8;
+    /// The first byte of the code, and the first one behind it (cortex-m-rt).
+    static __stext: u8;
+    static __etext: u8;
 }
 
 /// The size of the guard at the bottom of the stack: more than the largest stack frame.
@@ -67,7 +70,17 @@ extern "C" fn faulted(frame: &ExceptionFrame) -> ! {
     SCB::sys_reset();
 }
 
-extern "C" fn overflowed() -> ! {
-    defmt::error!("stack overflow, resetting");
+/// The exception frame of an overflow is lost in the guard. The deepest return address that the stack still holds names
+/// the function.
+extern "C" fn overflowed(sp: usize) -> ! {
+    let code = &raw const __stext as u32..&raw const __etext as u32;
+    let lowest = sp.max(&raw const _stack_end as usize + GUARD_LEN).next_multiple_of(4);
+    let words = (lowest..&raw const _stack_start as usize).step_by(4);
+    // SAFETY: the words are aligned and belong to the stack above its guard.
+    let mut words = words.map(|at| unsafe { (at as *const u32).read_volatile() });
+    // Bit 0 of a return address is the instruction set.
+    let caller =
+        words.find(|word| word & 1 == 1 && code.contains(word)).map_or(0, |word| word & !1);
+    defmt::error!("stack overflow below the call before {=u32:#x}, resetting", caller);
     SCB::sys_reset();
 }

@@ -1,6 +1,9 @@
 //! The independent watchdog, which is fed only if all tasks have answered a roll call.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::{
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, AtomicU16, Ordering},
+};
 
 use canopen_node::indicator;
 use cortex_m::peripheral::NVIC;
@@ -23,8 +26,41 @@ pub(crate) const STORE: Interrupt = Interrupt::USART1;
 /// The most tasks, those of the product included.
 const TASKS: usize = 16;
 
-/// Whether each task has answered.
-static PRESENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
+/// Whether each task has yet to answer: none before the first roll call.
+static ABSENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
+
+/// A bit for each task that the latest roll call has missed. A reset by the watchdog leaves it.
+#[unsafe(link_section = ".uninit.SILENT")]
+static SILENT: MaybeUninit<AtomicU16> = MaybeUninit::uninit();
+
+/// The tasks that have missed a roll call.
+fn silent() -> &'static AtomicU16 {
+    // SAFETY: the RAM has some content, and a number may have any.
+    unsafe { SILENT.assume_init_ref() }
+}
+
+/// Logs a reset by the watchdog, with the tasks that were silent before it.
+pub(crate) fn log_reset() {
+    defmt::warn!("reset by the watchdog: a task did not run in time");
+    let silent = silent().load(Ordering::Relaxed);
+    if silent == 0 {
+        defmt::warn!("silent: `init`, or the task of TIM2, or one of its priority or above");
+        return;
+    }
+    let own = [
+        defmt::intern!("the task of CAN RX0"),
+        defmt::intern!("the task of CAN TX"),
+        defmt::intern!("the task of CAN SCE"),
+        defmt::intern!("the task that stores"),
+        defmt::intern!("`idle`"),
+    ];
+    for number in (0..TASKS).filter(|number| silent >> number & 1 == 1) {
+        match own.get(number) {
+            Some(task) => defmt::warn!("silent: {=istr}", task),
+            None => defmt::warn!("silent: Task::own({=u8})", (number - own.len()) as u8),
+        }
+    }
+}
 
 /// A task that must answer.
 #[derive(Clone, Copy)]
@@ -47,8 +83,8 @@ impl Task {
 
     /// Records that the task is alive.
     pub fn answer(self) {
-        if let Some(present) = PRESENT.get(self.0) {
-            present.store(true, Ordering::Relaxed);
+        if let Some(absent) = ABSENT.get(self.0) {
+            absent.store(false, Ordering::Relaxed);
         }
     }
 }
@@ -69,6 +105,7 @@ impl Watchdog {
         let mut hardware = IndependentWatchdog::new(hardware);
         hardware.start(fugit::MillisDurationU32::from_ticks(TIMEOUT_MS));
         hardware.stop_on_debug(&debug, true);
+        silent().store(0, Ordering::Relaxed);
         let mut watchdog = Self { hardware, debug, expected: Task::ALL, steps: 0 };
         watchdog.feed();
         watchdog
@@ -94,13 +131,13 @@ impl Watchdog {
         if self.steps != 0 {
             return false;
         }
-        let mut is_everyone_present = true;
-        for (number, present) in PRESENT.iter().enumerate() {
-            let is_expected = self.expected >> number & 1 == 1;
-            is_everyone_present &= present.load(Ordering::Relaxed) || !is_expected;
-            present.store(false, Ordering::Relaxed);
+        let mut missing = 0;
+        for (number, absent) in ABSENT.iter().enumerate() {
+            missing |= u16::from(absent.load(Ordering::Relaxed)) << number & self.expected;
+            absent.store(true, Ordering::Relaxed);
         }
-        if is_everyone_present {
+        silent().store(missing, Ordering::Relaxed);
+        if missing == 0 {
             self.feed();
         }
         interrupts.into_iter().for_each(NVIC::pend);

@@ -5,6 +5,7 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
+use anyhow::Context;
 use canopen_stm32f4::chip::Chip;
 use emulator::{chip::Part, image::Image};
 
@@ -31,15 +32,31 @@ const TEMPLATE: [&str; 9] = [
 
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
-    let name = format!("{}-can{controller}", chip.name());
-    let folder = workspace().join("target/products").join(&name);
-    let product = Product { name: &name, chip, controller, git: None, folder: &folder };
-    product.write()?;
-    let elf = image::build_with(&folder, &name, chip, |command| {
+    let elf = build_changed(&format!("{}-can{controller}", chip.name()), chip, controller, &[])?;
+    Ok(Image::from_elf(&elf)?)
+}
+
+/// The ELF file of a new product with changes of its files, built in `target/products`. Each change is the path of a
+/// file, the text that goes, and that in its place.
+pub fn build_changed(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    changes: &[(&str, &str, &str)],
+) -> anyhow::Result<Vec<u8>> {
+    let folder = workspace().join("target/products").join(name);
+    let product = Product { name, chip, controller, git: None, folder: &folder };
+    let mut files = product.files()?;
+    for (path, from, to) in changes {
+        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
+        let content = &mut file.with_context(|| format!("{path} has no {from}"))?.1;
+        *content = content.replace(from, to);
+    }
+    product.write_files(&files)?;
+    image::build_with(&folder, name, chip, |command| {
         // The HAL is built there already.
         command.arg("--target-dir").arg(workspace().join("target"));
-    })?;
-    Ok(Image::from_elf(&elf)?)
+    })
 }
 
 /// A product to be made.
@@ -56,7 +73,11 @@ pub struct Product<'a> {
 impl Product<'_> {
     /// Writes the files of the product.
     pub fn write(&self) -> io::Result<()> {
-        for (path, content) in self.files()? {
+        self.write_files(&self.files()?)
+    }
+
+    fn write_files(&self, files: &[(&str, String)]) -> io::Result<()> {
+        for (path, content) in files {
             let path = self.folder.join(path);
             fs::create_dir_all(path.parent().expect("a file in the folder"))?;
             // An unchanged file is not built again.

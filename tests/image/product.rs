@@ -1,0 +1,100 @@
+//! What the log of a product says of its faults: a panic, a stack overflow, and a task that does not answer.
+
+use std::sync::LazyLock;
+
+use emulator::image::Image;
+use testkit::product;
+
+use crate::rig::*;
+
+/// A product whose `idle` fails as the brightness says.
+static FAULTY: LazyLock<Image> = LazyLock::new(|| {
+    let changes = [
+        (
+            "src/main.rs",
+            "    #[idle]\n    fn idle(_: idle::Context) -> ! {\n        loop {\n",
+            "    #[idle(shared = [runner])]
+    fn idle(mut cx: idle::Context) -> ! {
+        loop {
+            let fault = cx.shared.runner.lock(|runner| runner.application(|a| a.brightness));
+            match fault {
+                1 => panic!(\"valve {fault} is stuck\"),
+                2 => _ = descend(fault.into()),
+                3 => {}
+                _ => Task::own(2).answer(),
+            }
+",
+        ),
+        (
+            "src/main.rs",
+            "        let device = DEVICE",
+            "        board.watchdog.expect(Task::own(2));\n        let device = DEVICE",
+        ),
+        (
+            "src/main.rs",
+            "    #[init]",
+            "    #[inline(never)]
+    fn descend(depth: u32) -> u32 {
+        if depth == u32::MAX {
+            return depth;
+        }
+        let frame = core::hint::black_box([depth; 8]);
+        core::hint::black_box(descend(depth + 1) + frame[7])
+    }
+
+    #[init]",
+        ),
+    ];
+    let elf = product::build_changed("faulty", Part::Stm32f446, 1, &changes);
+    Image::from_elf(&elf.unwrap_or_else(|error| panic!("{error}"))).expect("an ELF file")
+});
+
+/// The product, at a heartbeat-less node 4 at 125 kbit/s, until it was reset after this brightness.
+fn failed(brightness: u8, cause: ResetCause) -> ImageRig {
+    let mut board = Board::new(Part::Stm32f446, &FAULTY, board::Settings::default());
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(4, BitRate::Kbit125)]));
+    let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
+    assert_eq!(rig.collect(Time::from_ms(500)), ["704: 00"]);
+    rig.network.allow_reset(0, cause);
+    // The fault may come before the answer.
+    rig.queue(&sdo::request(4, &format!("2F 00 21 00 {brightness:02X}")));
+    rig.expect("704: 00", Time::from_s(3));
+    rig
+}
+
+/// The text of the log from the last line on that begins so.
+#[track_caller]
+fn logged(rig: &ImageRig, begin: &str) -> String {
+    let log = rig.network.board(0).log();
+    let line = log.iter().find(|line| line.text.starts_with(begin));
+    line.unwrap_or_else(|| panic!("no line begins with {begin}")).text.clone()
+}
+
+#[test]
+fn a_panic_of_a_product_is_logged_with_its_place_and_its_message() {
+    let rig = failed(1, ResetCause::Software);
+    let line = logged(&rig, "panicked at src/main.rs:");
+    assert!(line.ends_with(":\nvalve 1 is stuck"), "{line}");
+    logged(&rig, "hard fault at 0x80");
+    logged(&rig, "reset by the firmware or a debugger");
+}
+
+#[test]
+fn a_stack_overflow_of_a_product_names_the_function_that_called() {
+    let rig = failed(2, ResetCause::Software);
+    let line = logged(&rig, "stack overflow below the call before 0x");
+    let address = line.split_whitespace().find_map(|word| word.strip_prefix("0x"));
+    let address =
+        address.and_then(|digits| u32::from_str_radix(digits.trim_end_matches(','), 16).ok());
+    let (name, _) = FAULTY.symbol_at(address.expect("an address")).expect("a function");
+    assert!(name.contains("descend"), "{name}");
+}
+
+#[test]
+fn the_log_names_the_silent_task_of_a_product() {
+    let rig = failed(3, ResetCause::Watchdog);
+    logged(&rig, "reset by the watchdog: a task did not run in time");
+    let log = rig.network.board(0).log();
+    let silent: Vec<_> = log.iter().filter(|line| line.text.starts_with("silent: ")).collect();
+    assert!(silent.len() == 1 && silent[0].text == "silent: Task::own(2)", "{silent:?}");
+}
