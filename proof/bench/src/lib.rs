@@ -5,6 +5,8 @@
 
 #![no_std]
 
+pub mod own;
+
 use core::{
     arch::global_asm,
     cell::UnsafeCell,
@@ -165,6 +167,9 @@ impl<T> Place<T> {
 
 /// Vendor-ID, product code, revision number and serial number: 16 ones in each.
 pub const IDENTITY: [u32; 4] = [0x5AA5_3CC3, 0x0FF0_A55A, 0x3333_CCCC, 0x6996_9669];
+
+/// The device name 1008h, which takes four segments.
+pub const DEVICE_NAME: &str = "A device of the bench.";
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {

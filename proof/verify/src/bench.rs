@@ -1,4 +1,4 @@
-//! `cargo verify bench`: the cost of this project's LSS slave and of others, in instructions, cycles and bytes.
+//! `cargo verify bench`: the cost of this project's LSS slave and node and of others, in instructions, cycles and bytes.
 
 mod machine;
 mod programs;
@@ -6,9 +6,9 @@ mod session;
 
 use machine::Cost;
 use programs::{Builds, PROGRAMS, Program};
-use session::{Costs, MEASUREMENTS};
+use session::{Column, Costs, LSS, NODE};
 
-/// Show the cost of the LSS slave in instructions and bytes, compared with others
+/// Show the cost of the LSS slave and of the node in instructions and bytes, compared with others
 ///
 /// Each slave is built in the same harness and runs on an emulated Cortex-M4. docs/size-and-speed.md explains the tables.
 #[derive(clap::Args)]
@@ -25,26 +25,48 @@ const SIZES: [[&str; 2]; 4] =
 /// A slave cannot be built, or does not give the measured service.
 pub fn run(Arguments {}: &Arguments) -> anyhow::Result<()> {
     let builds = Builds::make()?;
-    let measure = |program: &'static Program| Ok((program, Costs::measure(&builds.fast(program))?));
-    let measured: Vec<_> = PROGRAMS.iter().map(measure).collect::<anyhow::Result<_>>()?;
+    let lss = measure(&builds, PROGRAMS.iter(), &LSS)?;
+    let node = measure(&builds, PROGRAMS.iter().filter(|program| program.is_node), &NODE)?;
     println!(
         "Instructions from the entry of `receive` to its return (to the request to transmit), at \
          opt-level 3; bytes at opt-level s"
     );
-    let heads = MEASUREMENTS.map(|(head, _)| head);
-    head(&[&heads[..], &SIZES].concat());
-    for (program, costs) in &measured {
+    head(&[&heads(&LSS)[..], &SIZES].concat());
+    for (program, costs) in &lss {
+        let of_node = node.iter().find(|(other, _)| other.title == program.title);
+        let stack = of_node.map_or(0, |(_, costs)| costs.stack).max(costs.stack);
         let [module, state, whole] = builds.sizes(program)?;
-        let sizes = [module, state, whole, Some(costs.stack.into())];
+        let sizes = [module, state, whole, Some(stack.into())];
         let sizes = sizes.map(|size| size.map_or_else(String::new, |bytes| bytes.to_string()));
         row(program.title, &[costs.cells(|cost| cost.instructions), sizes.into()].concat());
     }
+    table(&NODE, &node, |cost| cost.instructions);
     println!("\nCycles of the same, with a flash without wait states");
-    head(&heads);
-    for (program, costs) in &measured {
-        row(program.title, &costs.cells(|cost| cost.cycles));
-    }
+    table(&LSS, &lss, |cost| cost.cycles);
+    table(&NODE, &node, |cost| cost.cycles);
     Ok(())
+}
+
+/// A program with the costs of its services.
+type Measured = (&'static Program, Costs);
+
+fn measure(
+    builds: &Builds,
+    programs: impl Iterator<Item = &'static Program>,
+    columns: &[Column],
+) -> anyhow::Result<Vec<Measured>> {
+    programs.map(|program| Ok((program, Costs::measure(&builds.fast(program), columns)?))).collect()
+}
+
+fn heads(columns: &[Column]) -> Vec<[&'static str; 2]> {
+    columns.iter().map(|(head, _)| *head).collect()
+}
+
+fn table(columns: &[Column], measured: &[Measured], unit: fn(&Cost) -> u64) {
+    head(&heads(columns));
+    for (program, costs) in measured {
+        row(program.title, &costs.cells(unit));
+    }
 }
 
 fn head(heads: &[[&str; 2]]) {

@@ -1,11 +1,13 @@
-//! The node of zencan-node, with the objects that its SDO server needs, and without process data.
+//! The node of zencan-node, with the objects that its SDO server needs, and an RPDO.
 
 #![no_std]
 #![no_main]
 
 use core::ptr::addr_of_mut;
 
-use bench::{IDENTITY, NOW, Place, padded, received_data, received_identifier, transmit};
+use bench::{
+    DEVICE_NAME, IDENTITY, NOW, Place, padded, received_data, received_identifier, transmit,
+};
 // Provides its critical section.
 use cortex_m as _;
 use zencan_node::{
@@ -15,7 +17,10 @@ use zencan_node::{
         messages::{CanId, CanMessage},
         objects::{ObjectCode, SubInfo},
     },
-    object_dict::{ConstField, ODEntry, ProvidesSubObjects, ScalarField, SubObjectAccess},
+    object_dict::{
+        ConstByteRefField, ConstField, ODEntry, ProvidesSubObjects, ScalarField, SubObjectAccess,
+    },
+    pdo::{Pdo, PdoDefaults},
     priority_queue::PriorityQueue,
 };
 
@@ -52,6 +57,10 @@ static DEVICE_TYPE: Variable<ConstField<4>> =
     Variable(ConstField::new([0; 4]), SubInfo::new_u32().const_access());
 static ERROR_REGISTER: Variable<ScalarField<u8>> =
     Variable(ScalarField::<u8>::new(0), SubInfo::new_u8().ro_access());
+static NAME: Variable<ConstByteRefField> = Variable(
+    ConstByteRefField::new(DEVICE_NAME.as_bytes()),
+    SubInfo::new_visible_str(DEVICE_NAME.len()).const_access(),
+);
 static HEARTBEAT_TIME: Variable<ScalarField<u16>> =
     Variable(ScalarField::<u16>::new(0), SubInfo::new_u16().rw_access());
 static IDENTITY_OBJECT: Identity = Identity([
@@ -60,19 +69,26 @@ static IDENTITY_OBJECT: Identity = Identity([
     ConstField::new(IDENTITY[2].to_le_bytes()),
     ConstField::new(IDENTITY[3].to_le_bytes()),
 ]);
-static DICTIONARY: [ODEntry<'static>; 4] = [
+static NUMBER: Variable<ScalarField<u32>> =
+    Variable(ScalarField::<u32>::new(0), SubInfo::new_u32().rw_access());
+static DICTIONARY: [ODEntry<'static>; 6] = [
     ODEntry { index: 0x1000, data: &DEVICE_TYPE },
     ODEntry { index: 0x1001, data: &ERROR_REGISTER },
+    ODEntry { index: 0x1008, data: &NAME },
     ODEntry { index: 0x1017, data: &HEARTBEAT_TIME },
     ODEntry { index: 0x1018, data: &IDENTITY_OBJECT },
+    ODEntry { index: 0x2100, data: &NUMBER },
 ];
 
-static STATE: NodeState<'static> = NodeState::new(&[], &[]);
+static RPDO: PdoDefaults<'static> =
+    PdoDefaults::new(0x200, false, true, true, false, 255, &[0x2100_0020]);
+static RPDOS: [Pdo<'static>; 1] = [Pdo::new_with_defaults(&DICTIONARY, &STATE, &RPDO)];
+static STATE: NodeState<'static> = NodeState::new(&RPDOS, &[]);
 static QUEUE: PriorityQueue<4, CanMessage> = PriorityQueue::new();
 static mut SDO_BUFFER: [u8; SDO_BUFFER_SIZE] = [0; SDO_BUFFER_SIZE];
 static MAILBOX: NodeMbox =
     // SAFETY: there is no other reference to the buffer.
-    NodeMbox::new(&[], &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
+    NodeMbox::new(&RPDOS, &[], &QUEUE, unsafe { &mut *addr_of_mut!(SDO_BUFFER) });
 static NODE: Place<Node<'static>> = Place::empty();
 
 // SAFETY: no other symbol has this name.

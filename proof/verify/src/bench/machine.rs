@@ -1,6 +1,7 @@
 //! A program of `proof/bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
 
 use std::{
+    ops::AddAssign,
     path::Path,
     sync::{Arc, Mutex},
 };
@@ -29,6 +30,13 @@ pub struct Cost {
     pub instructions: u64,
     /// Core clock cycles, with a flash without wait states.
     pub cycles: u64,
+}
+
+impl AddAssign for Cost {
+    fn add_assign(&mut self, other: Self) {
+        self.instructions += other.instructions;
+        self.cycles += other.cycles;
+    }
 }
 
 /// The result of a received frame.

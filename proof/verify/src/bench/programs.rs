@@ -17,7 +17,7 @@ pub struct Program {
     pub title: &'static str,
     binary: &'static str,
     /// Whether it is a whole node, not LSS alone.
-    is_node: bool,
+    pub is_node: bool,
     /// The module with LSS as names are mangled: the crate and the module, each preceded by its length. `None`: it is
     /// merged into the node even in a build of modules.
     module: Option<&'static str>,
@@ -27,8 +27,14 @@ const OURS: Option<&str> = Some("9lss_slave3lss");
 const OF_CANOPEN_RS: Option<&str> = Some("10canopen_rs3lss");
 
 /// All programs, this project's first.
-pub const PROGRAMS: [Program; 5] = [
-    Program { title: "lss-slave node", binary: "node", is_node: true, module: OURS },
+pub const PROGRAMS: [Program; 6] = [
+    Program { title: "canopen-node", binary: "node", is_node: true, module: OURS },
+    Program {
+        title: "canopen-node with an RPDO",
+        binary: "node_with_rpdo",
+        is_node: true,
+        module: OURS,
+    },
     Program { title: "lss-slave Slave alone", binary: "slave", is_node: false, module: OURS },
     Program {
         title: "canopen-rs 0.6.1 node",
