@@ -270,9 +270,11 @@ impl<A: Application> Node<A> {
         match self.slave.handle_frame(frame, now) {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
-            // It may begin a switch.
             None if frame.cob_id() == lss::REQUEST_COB_ID => {
-                self.agenda.add(Tasks::of(&[Task::BitRate]));
+                // It may have begun a switch.
+                if !self.slave.bit_rate().is_settled() {
+                    self.agenda.add(Tasks::of(&[Task::BitRate]));
+                }
             }
             None if is_served => self.handle_other(frame, now),
             None => {}
