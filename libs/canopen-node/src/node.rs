@@ -264,16 +264,18 @@ impl<A: Application> Node<A> {
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
-        let action = self.slave.handle_frame(frame, now);
-        // The frame may have begun a switch.
-        if !self.slave.bit_rate().is_settled() {
+        if !bit_rate.is_settled() {
             self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
-        match action {
+        match self.slave.handle_frame(frame, now) {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
-            None if is_served && frame.cob_id() != lss::REQUEST_COB_ID => {
-                self.handle_other(frame, now);
+            None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
+                self.handle_other(frame, now)
+            }
+            // A request of LSS may have begun a switch.
+            None if !self.slave.bit_rate().is_settled() => {
+                self.agenda.add(Tasks::of(&[Task::BitRate]))
             }
             None => {}
         }
