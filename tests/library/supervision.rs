@@ -55,6 +55,16 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
 }
 
 #[test]
+fn nothing_is_due_after_a_request_without_an_answer_at_a_proven_rate() {
+    let mut board = proven();
+    let now = Instant::from_micros(board.now() as u32);
+    for text in ["40 01", "47 01", "5A", "51 00 00 00 00 1F"] {
+        assert_eq!(board.node.handle_frame(&request(text), now), None);
+        assert!(!board.node.is_due(now), "{text}");
+    }
+}
+
+#[test]
 fn a_node_without_supervision_never_looks_elsewhere_nor_pauses() {
     let mut board = NodeRig::with_heartbeat(0x40, 100);
     board.is_acknowledged = false;
