@@ -1,9 +1,10 @@
-//! What the log of a product says of its faults: a panic, a stack overflow, and a task that does not answer.
+//! What a product shows of its faults: the log of a panic, a stack overflow and a task that does not answer, and the
+//! report on a peripheral that is not modelled.
 
 use std::sync::LazyLock;
 
 use emulator::image::Image;
-use testkit::product;
+use testkit::{product, unmodelled};
 
 use crate::rig::*;
 
@@ -28,7 +29,10 @@ static FAULTY: LazyLock<Image> = LazyLock::new(|| {
         (
             "src/main.rs",
             "        let device = DEVICE",
-            "        board.watchdog.expect(Task::own(2));\n        let device = DEVICE",
+            "        board.watchdog.expect(Task::own(2));
+        chip.I2C1.oar1().write(|w| w.add().set(0x30));
+        assert_eq!(chip.I2C1.oar1().read().add(), 0x30);
+        let device = DEVICE",
         ),
         (
             "src/main.rs",
@@ -49,12 +53,19 @@ static FAULTY: LazyLock<Image> = LazyLock::new(|| {
     Image::from_elf(&elf.unwrap_or_else(|error| panic!("{error}"))).expect("an ELF file")
 });
 
-/// The product, at a heartbeat-less node 4 at 125 kbit/s, until it was reset after this brightness.
-fn failed(brightness: u8, cause: ResetCause) -> ImageRig {
-    let mut board = Board::new(Part::Stm32f446, &FAULTY, board::Settings::default());
+/// The product as node 4.
+fn node_4(tolerates_unmodelled: bool) -> ImageRig {
+    let settings_of_board = board::Settings { tolerates_unmodelled, ..Default::default() };
+    let mut board = Board::new(Part::Stm32f446, &FAULTY, settings_of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(4, BitRate::Kbit125)]));
     let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
     assert_eq!(rig.collect(Time::from_ms(500)), ["704: 00"]);
+    rig
+}
+
+/// The product, until it was reset after this brightness.
+fn failed(brightness: u8, cause: ResetCause) -> ImageRig {
+    let mut rig = node_4(true);
     rig.network.allow_reset(0, cause);
     // The fault may come before the answer.
     rig.queue(&sdo::request(4, &format!("2F 00 21 00 {brightness:02X}")));
@@ -97,4 +108,19 @@ fn the_log_names_the_silent_task_of_a_product() {
     let log = rig.network.board(0).log();
     let silent: Vec<_> = log.iter().filter(|line| line.text.starts_with("silent: ")).collect();
     assert!(silent.len() == 1 && silent[0].text == "silent: Task::own(2)", "{silent:?}");
+}
+
+#[test]
+fn a_peripheral_that_is_not_modelled_is_a_line_of_the_report() {
+    let rig = node_4(true);
+    let report = unmodelled::report(rig.network.board(0));
+    let [line] = &report[..] else { panic!("{report:?}") };
+    assert!(line.starts_with("not modelled: I2C1, offset 08h, used 2 times by "), "{line}");
+    assert!(line.contains("app"), "{line}");
+}
+
+#[test]
+#[should_panic(expected = "to 40005408: not modelled")]
+fn a_test_can_refuse_a_peripheral_that_is_not_modelled() {
+    node_4(false);
 }

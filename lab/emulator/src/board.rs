@@ -3,7 +3,7 @@
 #[cfg(feature = "log")]
 mod log;
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 #[cfg(feature = "log")]
 pub use log::LogLine;
@@ -38,10 +38,14 @@ pub struct Settings {
     pub controller: usize,
     /// The behaviour of the CAN controllers where the manual is ambiguous.
     pub can_variant: bxcan::CanVariant,
+    /// Whether an access to a peripheral that is not modelled is no [misuse](Board::misuse). Registers of CAN, RCC,
+    /// flash, power and GPIO that are not modelled always are.
+    pub tolerates_unmodelled: bool,
 }
 
 impl Default for Settings {
-    /// An exact 8 MHz crystal, 3.3 V, a unique id of zeros, a nominal chip, CAN1, and the nominal CAN controllers.
+    /// An exact 8 MHz crystal, 3.3 V, a unique id of zeros, a nominal chip, CAN1, the nominal CAN controllers, and
+    /// no tolerance.
     fn default() -> Self {
         Self {
             crystal: Clock { hz: 8_000_000, ppm: 0 },
@@ -50,6 +54,7 @@ impl Default for Settings {
             chip_variant: ChipVariant::default(),
             controller: 1,
             can_variant: bxcan::CanVariant::default(),
+            tolerates_unmodelled: false,
         }
     }
 }
@@ -71,7 +76,9 @@ pub struct Board {
     engine: Box<dyn Engine>,
     #[cfg(feature = "log")]
     log: Log,
+    image: Image,
     controller: usize,
+    tolerates_unmodelled: bool,
     powered: bool,
     /// The supply is on, but too low for the chip to leave its reset.
     browned_out: bool,
@@ -87,8 +94,8 @@ impl Board {
     /// # Panics
     /// A segment of the image lies outside of the part's flash, or the part has no such controller.
     pub fn new(part: Part, image: &Image, settings: Settings) -> Self {
-        let Settings { crystal, supply_mv, unique_id, chip_variant, controller, can_variant } =
-            settings;
+        let Settings { crystal, supply_mv, unique_id, chip_variant, .. } = settings;
+        let Settings { controller, can_variant, tolerates_unmodelled, .. } = settings;
         let mut chip = Chip::with_variant(part, crystal, unique_id, chip_variant);
         chip.set_supply(supply_mv);
         for can in chip.cans_mut() {
@@ -108,7 +115,9 @@ impl Board {
             engine,
             #[cfg(feature = "log")]
             log: Log::new(image.clone()),
+            image: image.clone(),
             controller,
+            tolerates_unmodelled,
             powered: false,
             browned_out: false,
             dark: Time::ZERO,
@@ -122,7 +131,8 @@ impl Board {
 
     /// The microcontroller's peripherals. The board cannot run while the guard is held.
     pub fn chip(&self) -> MutexGuard<'_, Chip> {
-        self.chip.lock().expect("a panic while the chip was in use")
+        // A report on a test that has failed may still read it.
+        self.chip.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The CAN controller whose transceiver is on the network's first bus: 1 for CAN1.
@@ -316,6 +326,19 @@ impl Board {
     /// All accesses that a real chip would not tolerate, or that the emulator does not model.
     pub fn findings(&self) -> Vec<Finding> {
         self.chip().findings().to_vec()
+    }
+
+    /// The first of them that this board does not tolerate.
+    pub fn misuse(&self) -> Option<Finding> {
+        let chip = self.chip();
+        let is_misuse =
+            |finding: &&Finding| !(self.tolerates_unmodelled && chip.is_tolerable(finding));
+        chip.findings().iter().find(is_misuse).cloned()
+    }
+
+    /// The program that was in the flash at first.
+    pub fn image(&self) -> &Image {
+        &self.image
     }
 
     /// The lines that the program has logged, across all resets.

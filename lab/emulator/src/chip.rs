@@ -18,6 +18,7 @@ mod supply;
 mod surroundings;
 mod system;
 mod timer;
+mod unmodelled;
 mod usart;
 mod variant;
 
@@ -45,6 +46,7 @@ use rtc::Rtc;
 pub use system::AtZero;
 use system::{Dbgmcu, Exti, Factory, Power, Pwr, Syscfg};
 use timer::Timer;
+use unmodelled::Kept;
 use usart::Usart;
 
 use crate::{
@@ -86,6 +88,7 @@ pub struct Chip {
     cans_joined: Vec<Pins>,
     variant: ChipVariant,
     findings: Vec<Finding>,
+    kept: Kept,
     can_written: bool,
     boot: g4::Boot,
 }
@@ -143,6 +146,7 @@ impl Chip {
             cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
             variant,
             findings: Vec::new(),
+            kept: Kept::default(),
             can_written: false,
             boot: g4::Boot::default(),
         };
@@ -280,6 +284,7 @@ impl Chip {
     pub fn reset(&mut self, cause: ResetCause, now: Time) {
         self.rcc.reset(cause);
         self.syscfg = Syscfg::default();
+        self.kept = Kept::default();
         let others = [Block::FlashRegisters, Block::Iwdg, Block::Exti];
         for block in self.gated().chain(others) {
             self.reset_block(block, now);
@@ -337,6 +342,7 @@ impl Chip {
     }
 
     fn reset_block(&mut self, block: Block, now: Time) {
+        self.kept.reset(block);
         self.registers(block).into_iter().for_each(|registers| registers.reset(now));
     }
 
@@ -365,13 +371,11 @@ impl Chip {
             Block::Factory => self.factory_word(address & !3),
             _ => self.read_register(block, offset & !3, now),
         };
-        match word {
-            Some(word) => Ok(word >> (8 * (address & 3)) & width.mask()),
-            None => {
-                self.report(access, None, Problem::Unmodelled);
-                Ok(0)
-            }
+        if word.is_none() {
+            self.report(access, None, Problem::Unmodelled);
         }
+        let word = word.unwrap_or(0) | self.kept.bits(block, address & !3);
+        Ok(word >> (8 * (address & 3)) & width.mask())
     }
 
     fn read_register(&mut self, block: Block, offset: u32, now: Time) -> Option<u32> {
@@ -446,11 +450,20 @@ impl Chip {
             Width::Byte if is_on_apb(address) => value * 0x0101_0101,
             Width::Half if is_on_apb(address) => value * 0x0001_0001,
             _ => {
-                let old = self.read_register(block, offset & !3, now).unwrap_or(0);
+                let old = self.read_register(block, offset & !3, now).unwrap_or(0)
+                    | self.kept.bits(block, address & !3);
                 old & !(width.mask() << shift) | value << shift
             }
         };
-        match self.write_register(block, offset & !3, word, now) {
+        let written = self.write_register(block, offset & !3, word, now);
+        let taken = match written {
+            Err(Problem::Unmodelled) if !block.is_strict() => {
+                self.read_register(block, offset & !3, now).unwrap_or(0)
+            }
+            _ => word,
+        };
+        self.kept.set(block, address & !3, word & !taken);
+        match written {
             Err(Problem::BusFault) => return Err(BusFault),
             Err(problem) => self.report(access, Some(value), problem),
             Ok(()) => {}

@@ -272,7 +272,7 @@ impl Network {
     fn check_for_misuse(&self) {
         let Some(allowed) = &self.allowed else { return };
         for (number, (board, allowed)) in self.boards.iter().zip(allowed).enumerate() {
-            if let Some(finding) = board.findings().first() {
+            if let Some(finding) = board.misuse() {
                 panic!("board {number}: {finding}");
             }
             assert_eq!(board.lockup(), None, "board {number}");

@@ -656,3 +656,24 @@ fn the_memory_at_address_0_is_that_of_memrmp() {
     assert_eq!(words, [start, 7, start]);
     assert_eq!(board.findings(), []);
 }
+
+#[test]
+fn a_tolerant_board_does_not_tolerate_what_can_rcc_and_gpio_lack() {
+    const DAC: u32 = 0x4000_7400;
+    for (address, is_tolerated) in
+        [(DAC, true), (0x4002_38FC, false), (GPIOD + 0x30, false), (0x4000_67FC, false)]
+    {
+        let mut program = Program::new();
+        program.store(RCC_AHB1ENR, 1 << 3).store(RCC_APB1ENR, 1 << 25).store(address, 1).stop();
+        let settings = Settings { tolerates_unmodelled: true, ..Settings::default() };
+        let mut tolerant = Board::new(Part::Stm32f405, &program.image(), settings);
+        let mut strict = board(program);
+        for board in [&mut tolerant, &mut strict] {
+            run(board, Time::from_ms(2));
+            let problems: Vec<_> = board.findings().iter().map(|found| found.problem).collect();
+            assert_eq!(problems, [Problem::Unmodelled], "{address:08x}");
+        }
+        assert_eq!(tolerant.misuse().is_none(), is_tolerated, "{address:08x}");
+        assert!(strict.misuse().is_some(), "{address:08x}");
+    }
+}

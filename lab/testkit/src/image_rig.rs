@@ -19,6 +19,7 @@ use super::{
     lss_session,
     sdo::{self, Client},
     settings::Stored,
+    unmodelled,
     wire::{bit_per_s, from_the_wire, on_the_wire},
 };
 
@@ -472,10 +473,16 @@ impl Client for SdoClient<'_> {
     }
 }
 
-#[cfg(feature = "log")]
 impl Drop for ImageRig {
-    /// Prints the logs of the boards behind a failure.
+    /// Prints which peripherals are not modelled and, behind a failure, the logs of the boards. `cargo test` shows it
+    /// for a test that fails, and for all with `-- --nocapture`.
     fn drop(&mut self) {
+        for (number, board) in self.network.boards().iter().enumerate() {
+            for line in unmodelled::report(board) {
+                println!("board {number}: {line}");
+            }
+        }
+        #[cfg(feature = "log")]
         if std::thread::panicking() {
             self.print_logs();
         }

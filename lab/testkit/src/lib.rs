@@ -39,4 +39,6 @@ pub mod stack;
 pub mod storm;
 pub mod supervised;
 #[cfg(feature = "image")]
+pub mod unmodelled;
+#[cfg(feature = "image")]
 pub mod wire;

@@ -226,7 +226,12 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let name = format!("{name} on {}", chip.name());
         let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
         let controller = arguments.controller.into();
-        let board = board::Settings { crystal, controller, ..Default::default() };
+        let board = board::Settings {
+            crystal,
+            controller,
+            tolerates_unmodelled: true,
+            ..Default::default()
+        };
         let (image, eds) = (Image::load(elf)?, read(eds)?);
         return Ok(vec![Product { name, chip, board, image, eds }]);
     }
@@ -340,7 +345,7 @@ impl Bus {
         let others = causes.filter(|cause| *cause != ResetCause::PowerOn).collect::<Vec<_>>();
         let is_asked = others.len() <= self.resets
             && others.iter().all(|cause| *cause == ResetCause::Software);
-        match (board.findings().first(), board.lockup()) {
+        match (board.misuse(), board.lockup()) {
             (Some(finding), _) => Err(Broken(format!("the board misuses its chip: {finding}"))),
             (None, Some(lockup)) => Err(Broken(format!("the board is locked up: {lockup:?}"))),
             (None, None) if is_asked => Ok(()),

@@ -15,7 +15,7 @@ pub const RAM_BASE: u32 = 0x2000_0000;
 pub const CCM_BASE: u32 = 0x1000_0000;
 
 /// The block that an address belongs to. Those of one kind are counted from 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Block {
     Flash,
     FlashRegisters,

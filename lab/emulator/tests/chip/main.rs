@@ -11,3 +11,4 @@ mod g4;
 mod rig;
 mod start_up;
 mod timer;
+mod unmodelled;

@@ -10,7 +10,10 @@ use emulator::{
     image::Image,
     network::Network,
 };
-use testkit::boards;
+use testkit::{
+    boards,
+    unmodelled::{self, function_at},
+};
 
 use super::memory::Memory;
 
@@ -139,24 +142,20 @@ impl Program {
             report += &format!("\n  reset: {}", resets.join(", "));
         }
         if let Some(lockup) = board.lockup() {
-            report += &format!("\n  locked up at {}: {lockup:x?}", self.place(board.pc()));
+            report +=
+                &format!("\n  locked up at {}: {lockup:x?}", function_at(&self.image, board.pc()));
         }
         let findings = board.findings();
         if findings.is_empty() {
             report += "\n  it touched nothing that the board does not model";
         }
-        for finding in findings {
-            report += &format!("\n  {finding}, in {}", self.place(finding.pc));
+        for finding in findings.iter().filter(|finding| !board.chip().is_tolerable(finding)) {
+            report += &format!("\n  {finding}, in {}", function_at(&self.image, finding.pc));
+        }
+        for line in unmodelled::report(board) {
+            report += &format!("\n  {line}");
         }
         report + "\n"
-    }
-
-    /// The function at an address.
-    fn place(&self, address: u32) -> String {
-        match self.image.symbol_at(address) {
-            Some((name, _)) => format!("{:#}", rustc_demangle::demangle(name)),
-            None => format!("{address:08x}"),
-        }
     }
 }
 
@@ -194,7 +193,8 @@ mod tests {
     fn the_report_names_each_access_that_is_not_modelled() {
         let report = report_on(program_that_reads(0x4000_3800));
         assert!(report.starts_with("a.elf on stm32f405: 5 ms"), "{report}");
-        assert!(report.contains("32-bit read of 40003800: not modelled"), "{report}");
+        let line = "\n  not modelled: SPI2, offset 00h, read once by 08000010\n";
+        assert!(report.contains(line), "{report}");
         let report = report_on(program_that_reads(0x4002_3800));
         assert!(report.contains("it touched nothing that the board does not model"), "{report}");
         let report = report_on(program_that_reads(0x6000_0000));
