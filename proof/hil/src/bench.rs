@@ -17,6 +17,7 @@ use crate::{
     board::{self, Board},
     bus::Bus,
     person::Person,
+    product::Product,
     report::Report,
     sdo::{self, Outcome},
     stop::Stop,
@@ -34,9 +35,17 @@ pub const BOOT: Duration = Duration::from_millis(1500);
 /// The wait for a board that looks for the bit rate or has lost its home rate.
 pub const SEARCH: Duration = Duration::from_secs(12);
 
+/// What a server answers that lacks an object or a sub-index.
+const MISSING: [&str; 2] = ["abort 06020000", "abort 06090011"];
+
 /// The bench with its boards.
 pub struct Bench {
     pub bus: Bus,
+    pub product: Product,
+    /// The bit rates that the boards let LSS select.
+    pub offered: Vec<BitRate>,
+    /// Whether they also let it select automatic detection.
+    pub detects: bool,
     pub report: Report,
     pub person: Person,
     pub is_quick: bool,
@@ -128,6 +137,25 @@ impl Bench {
         words: impl Fn(u32) -> String,
     ) -> Result<String, Stop> {
         Ok(self.number(board, index, sub_index)?.map_or_else(|failure| failure, words))
+    }
+
+    /// Whether the boards of another product have no such object; then a check is skipped with that reason.
+    pub fn skips(
+        &mut self,
+        board: Board,
+        what: &str,
+        (index, sub_index): (u16, u8),
+    ) -> Result<bool, Stop> {
+        if self.product.is_ours {
+            return Ok(false);
+        }
+        let failure = self.number(board, index, sub_index)?.err();
+        let is_missing = failure.is_some_and(|why| MISSING.contains(&&*why));
+        if is_missing {
+            let why = format!("the product has no {index:04X}h sub {sub_index}");
+            self.report.not_tried(format!("{board}: {what}"), why);
+        }
+        Ok(is_missing)
     }
 
     /// Gives all boards another heartbeat time, which is not stored.

@@ -6,10 +6,9 @@ use canopen_node::{
     BitRate, BitRateSetting, NodeId,
     lss::{Address, IdentifyKey, Request},
 };
-use firmware::device::DEVICE;
 use lss_master::{Assign, Configure, Find, Identify, InquireNodeId, Select};
 
-use crate::{bus::Bus, sdo::Outcome, stop::Stop};
+use crate::{bus::Bus, product::Product, sdo::Outcome, stop::Stop};
 
 /// A board, and what it had stored before the sessions.
 #[derive(Clone, Copy, Debug)]
@@ -44,11 +43,6 @@ impl fmt::Display for Board {
     }
 }
 
-/// All boards of this product.
-pub fn all() -> Identify {
-    Identify::product(DEVICE.address.vendor_id, DEVICE.address.product_code)
-}
-
 /// Asks once whether any board is within these ranges. A board that looks for the bit rate needs one question soon after
 /// the other, so this does not wait as long as the LSS master that does not know the boards yet.
 pub fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
@@ -62,15 +56,15 @@ pub fn is_anyone(bus: &mut Bus, within: Identify) -> Result<bool, Stop> {
     Ok(bus.probe(last)?.is_some_and(|answer| answer[0] == 0x4F))
 }
 
-/// The addresses of all boards of this product. The revision of this repository comes first, since a single revision
-/// takes half of the time.
-pub fn find_all(bus: &mut Bus) -> Result<Vec<Address>, Stop> {
-    const OWN: u32 = DEVICE.address.revision_number;
+/// The addresses of all boards of this product. The revision that is expected comes first, since a single revision takes
+/// half of the time.
+pub fn find_all(bus: &mut Bus, product: &Product) -> Result<Vec<Address>, Stop> {
     let mut found = Vec::new();
-    let below = OWN.checked_sub(1).map(|last| 0..=last);
-    let above = OWN.checked_add(1).map(|first| first..=u32::MAX);
-    for revision_numbers in [Some(OWN..=OWN), below, above].into_iter().flatten() {
-        let mut rest = Identify { revision_numbers, ..all() };
+    let own = product.revision_number.unwrap_or(0x0001_0000);
+    let below = own.checked_sub(1).map(|last| 0..=last);
+    let above = own.checked_add(1).map(|first| first..=u32::MAX);
+    for revision_numbers in [Some(own..=own), below, above].into_iter().flatten() {
+        let mut rest = Identify { revision_numbers, ..product.all() };
         while let Ok(Some(address)) = bus.carry_out(Find::new(rest.clone()))? {
             found.push(address);
             let Some(next) = address.serial_number.checked_add(1) else { break };

@@ -56,15 +56,15 @@ impl FromStr for Subject {
     }
 }
 
-/// What is known of the devices for the LSS chapter.
+/// What is known of the devices, for the LSS chapter and for boards without a data sheet.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Identity {
-    /// The vendor-ID of the device, for the LSS chapter; what is not given of its LSS address is inquired
-    #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
-    vendor_id: Option<u32>,
+    /// The vendor-ID of the device; what is not given of its LSS address is inquired for the LSS chapter
+    #[arg(long, value_name = "NUMBER", value_parser = number, conflicts_with = "eds")]
+    pub vendor_id: Option<u32>,
     /// Its product code
-    #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
-    product_code: Option<u32>,
+    #[arg(long, value_name = "NUMBER", value_parser = number, conflicts_with = "eds")]
+    pub product_code: Option<u32>,
     /// Its revision number
     #[arg(long, value_name = "NUMBER", value_parser = number, requires = "conformance")]
     revision_number: Option<u32>,
@@ -72,9 +72,9 @@ pub struct Identity {
     #[arg(long, value_name = "NUMBER", value_parser = number, value_delimiter = ',', requires = "conformance")]
     serial_number: Vec<u32>,
     /// What the device lacks, for the LSS chapter: identify, non-configured, fastscan, bit-timing, activate, store, sdo,
-    /// detect, rescue, further
-    #[arg(long, value_name = "FEATURE", value_delimiter = ',', requires = "conformance")]
-    without: Vec<Feature>,
+    /// detect, rescue, further; the sessions look at rescue
+    #[arg(long, value_name = "FEATURE", value_delimiter = ',')]
+    pub without: Vec<Feature>,
 }
 
 /// A number in decimal, or in hexadecimal with 0x.

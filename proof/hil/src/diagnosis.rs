@@ -3,12 +3,11 @@
 use std::time::{Duration, Instant};
 
 use canopen_node::{
-    BitRate, BitRateSetting,
+    BitRate,
     lss::{AddressPart, Request},
 };
-use firmware::device::DEVICE;
 
-use crate::{board, bus::Bus, report::Report, stop::Stop};
+use crate::{board, bus::Bus, product::Product, report::Report, stop::Stop};
 
 /// The wait for a frame on a bus where nodes send heartbeats: by default one a second.
 const HEARTBEAT: Duration = Duration::from_millis(1150);
@@ -31,12 +30,8 @@ struct Sight {
 ///
 /// # Errors
 /// [`Stop::Bench`] says what is wrong.
-pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
-    let default = match DEVICE.defaults.bit_rate {
-        BitRateSetting::Fixed(rate) => rate,
-        BitRateSetting::Automatic => BitRate::Kbit125,
-    };
-    let first = bus.fixed_rate().unwrap_or(default);
+pub fn find_rate(bus: &mut Bus, product: &Product, report: &mut Report) -> Result<BitRate, Stop> {
+    let first = bus.fixed_rate().unwrap_or(product.first_rate);
     let rates: Vec<_> = match bus.fixed_rate() {
         Some(rate) => vec![rate],
         None => board::rates_from(first).collect(),
@@ -60,7 +55,7 @@ pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
     let mut sights = Vec::new();
     for rate in order {
         report.progress(&format!("asking at {rate}"));
-        let sight = ask(bus, rate)?;
+        let sight = ask(bus, product, rate)?;
         if sight.has_boards {
             if sight.has_errors {
                 report.bench("the adapter saw errors while the boards answered");
@@ -68,7 +63,7 @@ pub fn find_rate(bus: &mut Bus, report: &mut Report) -> Result<BitRate, Stop> {
             report.bench(&format!("boards answer at {rate}"));
             return Ok(rate);
         }
-        if let Some(words) = stranger(bus, sight)? {
+        if let Some(words) = stranger(bus, product, sight)? {
             return Err(Stop::Bench(words));
         }
         sights.push((rate, sight));
@@ -89,11 +84,11 @@ fn listen(bus: &mut Bus, rate: BitRate) -> Result<Sight, Stop> {
     Ok(sight)
 }
 
-fn ask(bus: &mut Bus, rate: BitRate) -> Result<Sight, Stop> {
+fn ask(bus: &mut Bus, product: &Product, rate: BitRate) -> Result<Sight, Stop> {
     bus.open(rate)?;
     let mut sight = Sight::default();
     for _ in 0..ATTEMPTS {
-        sight.has_boards = board::is_anyone(bus, board::all())?;
+        sight.has_boards = board::is_anyone(bus, product.all())?;
         if sight.has_boards {
             break;
         }
@@ -106,7 +101,7 @@ fn ask(bus: &mut Bus, rate: BitRate) -> Result<Sight, Stop> {
 }
 
 /// The words for a rate at which other nodes take part, but no board of this product; `None` if nobody takes part.
-fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
+fn stranger(bus: &mut Bus, product: &Product, sight: Sight) -> Result<Option<String>, Stop> {
     let rate = bus.rate();
     let is_acknowledged = bus.status()?.is_some() && !sight.has_errors && !sight.is_error_passive;
     if sight.frames == 0 && !is_acknowledged {
@@ -114,25 +109,26 @@ fn stranger(bus: &mut Bus, sight: Sight) -> Result<Option<String>, Stop> {
     }
     bus.request(Request::SwitchToConfiguration)?;
     let vendor = bus.probe(Request::Inquire(AddressPart::VendorId))?;
-    let product = bus.probe(Request::Inquire(AddressPart::ProductCode))?;
+    let code = bus.probe(Request::Inquire(AddressPart::ProductCode))?;
     bus.request(Request::SwitchToWaiting)?;
     bus.leave();
     let number = |answer: Option<[u8; 8]>| match answer {
         Some([_, a, b, c, d, ..]) => format!("{:08X}", u32::from_le_bytes([a, b, c, d])),
         None => "unknown".into(),
     };
-    Ok(Some(match (vendor, product) {
+    Ok(Some(match (vendor, code) {
         (None, None) => format!(
             "not our board: a node takes part at {rate}, but answers no LSS request. Is the firmware flashed, \
              and does it run (`cargo flash` shows its log)? Nothing was changed"
         ),
         _ => format!(
-            "not our board: the LSS slave at {rate} has vendor-ID {} and product code {}, this firmware has \
-             {:08X} and {:08X} (src/device.rs). Nothing was changed",
+            "not our board: the LSS slave at {rate} has vendor-ID {} and product code {}, but {} says {:08X} and \
+             {:08X}. Give the data sheet of a product with `--eds`. Nothing was changed",
             number(vendor),
-            number(product),
-            DEVICE.address.vendor_id,
-            DEVICE.address.product_code
+            number(code),
+            product.source,
+            product.vendor_id,
+            product.product_code
         ),
     }))
 }

@@ -4,6 +4,7 @@ mod bench;
 mod board;
 mod conformance;
 mod diagnosis;
+mod product;
 mod report;
 mod sessions;
 
@@ -29,13 +30,14 @@ use bench::Bench;
 use bus::Bus;
 use conformance::{Identity, Subject};
 use person::Person;
+use product::Product;
 use report::Report;
 use stop::Stop;
 
 /// Check flashed boards through a CAN adapter, and report
 ///
-/// First it diagnoses the bench. Then it drives all boards of this firmware on the bus through every LSS service, all
-/// bit rates, SDO, NMT and heartbeat, and compares what they do with the emulated board. In the end it stores their
+/// First it diagnoses the bench. Then it drives all boards of this firmware, or of another product, through every LSS
+/// service, all bit rates, SDO, NMT and heartbeat, and compares what they do with the emulated board. In the end it stores their
 /// original settings again, also after Ctrl-C and after an error. No other node may be on the bus.
 ///
 /// It ends with 0 if nothing failed, with 1 otherwise. How to begin: docs/first-board.md.
@@ -59,6 +61,10 @@ struct Arguments {
     /// reports
     #[arg(long, value_name = "MS", default_value_t = 2)]
     latency: u16,
+    /// The data sheet of the boards, if they are those of another product; or --vendor-id with --product-code. What a
+    /// session needs and the product lacks is skipped
+    #[arg(long, value_name = "EDS", conflicts_with = "conformance")]
+    eds: Option<PathBuf>,
     /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
     ask: Ask,
@@ -94,6 +100,7 @@ enum Ask {
 const EXAMPLES: &str = "Examples:
   cargo hil --adapter slcan:/dev/ttyACM0 --report first-board
   cargo hil --adapter socketcan:can0 --quick
+  cargo hil --adapter socketcan:can0 --eds ../lamp/lamp.eds
   cargo hil --adapter socketcan:can0 --conformance eds/io.eds --bit-rate 500 --report io
   cargo hil --adapter socketcan:can0 --conformance lss --vendor-id 0x1A2 --product-code 7 --without rescue,detect
   cargo hil --adapter slcan:tcp:127.0.0.1:29536      with `cargo emulate` in another window";
@@ -144,6 +151,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         });
     }
 
+    let product = Product::new(arguments.eds.as_deref(), &arguments.identity)?;
     let mut report = Report::new(arguments.adapter.to_string());
     report.begin("bench");
     let report = match arguments.adapter.connect() {
@@ -160,6 +168,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 Bus::new(adapter, Duration::from_millis(arguments.latency.into()), is_interrupted);
             let mut bench = Bench {
                 base: bus.rate(),
+                product,
+                offered: Vec::new(),
+                detects: false,
                 bus,
                 report,
                 person,
@@ -191,6 +202,6 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
 }
 
 fn check(bench: &mut Bench, sessions: &[String]) -> Result<(), Stop> {
-    diagnosis::find_rate(&mut bench.bus, &mut bench.report)?;
+    diagnosis::find_rate(&mut bench.bus, &bench.product, &mut bench.report)?;
     sessions::run(bench, sessions)
 }

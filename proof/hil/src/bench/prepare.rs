@@ -1,6 +1,6 @@
 //! The stored settings of the boards, learned before the sessions change them.
 
-use canopen_node::{BitRate, BitRateSetting, NodeId};
+use canopen_node::{BitRate, BitRateSetting, NodeId, lss::Request};
 use lss_master::Configure;
 
 use super::{BOOT, Bench, RESET_NODE, SEARCH, node_id_text};
@@ -60,10 +60,15 @@ impl Bench {
             }
             let home = self.number(board, 0x2000, 5)?.ok();
             let home = BitRate::ALL.into_iter().find(|rate| Some(rate.kbit_per_s().into()) == home);
-            let Some(home) = home else {
-                return Err(Stop::Bench(format!(
-                    "{board} does not report its home bit rate (2000h sub 5)"
-                )));
+            // Without that object it is at the rate that it has stored.
+            let home = match home {
+                None if self.skips(board, "home bit rate", (0x2000, 5))? => self.base,
+                None => {
+                    return Err(Stop::Bench(format!(
+                        "{board} does not report its home bit rate (2000h sub 5)"
+                    )));
+                }
+                Some(home) => home,
             };
             let original = &mut self.boards[at].original;
             original.bit_rate = match detecting.contains(&board.id) {
@@ -79,8 +84,27 @@ impl Bench {
             let heartbeat_ms = original.heartbeat_ms;
             self.report.board(format!("{board}: {original} stored, heartbeat {heartbeat_ms} ms"));
         }
+        self.learn_rates()?;
         self.restart()?;
         Ok(())
+    }
+
+    /// Learns which bit rates the first board lets LSS select. A reset drops the one that it has accepted last.
+    fn learn_rates(&mut self) -> Result<(), Stop> {
+        let _ = board::select(&mut self.bus, self.boards[0].address)?;
+        let mut accepts = |index| {
+            let answer = self.bus.ask(Request::ConfigureBitTiming { table: 0, index })?;
+            Ok(matches!(answer, Some([0x13, 0, ..])))
+        };
+        let mut offered = Vec::new();
+        for rate in BitRate::ALL {
+            if accepts(rate.index())? {
+                offered.push(rate);
+            }
+        }
+        self.detects = accepts(BitRateSetting::Automatic.index())?;
+        self.offered = offered;
+        self.bus.request(Request::SwitchToWaiting)
     }
 
     /// The boards that detect the bit rate. After a reset such a board is silent until it hears a frame; others send

@@ -2,15 +2,17 @@
 
 use std::time::Duration;
 
-use canopen_node::lss::{Address, AddressPart, Request};
-use firmware::device::DEVICE;
+use canopen_node::{
+    BitRate,
+    lss::{Address, AddressPart, Request},
+};
 
 use crate::{bench::Bench, board, sdo, stop::Stop};
 
 /// Finds the boards, and stops unless all nodes on the bus are boards of this product.
 pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     bench.report.progress("finding the boards by their serial numbers");
-    bench.addresses = board::find_all(&mut bench.bus)?;
+    bench.addresses = board::find_all(&mut bench.bus, &bench.product)?;
     if bench.addresses.is_empty() {
         return Err(Stop::Bench(
             "boards answered, but no serial number could be found: is a request lost?".into(),
@@ -31,7 +33,7 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
             *part = sdo::read_number(&mut bench.bus, node, 0x1018, sub_index)?.unwrap_or(0);
         }
         let [vendor_id, product_code, revision_number, serial_number] = parts;
-        if (vendor_id, product_code) != (DEVICE.address.vendor_id, DEVICE.address.product_code)
+        if (vendor_id, product_code) != (bench.product.vendor_id, bench.product.product_code)
             || serial_number == 0
         {
             return Err(Stop::Bench(format!(
@@ -71,21 +73,32 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             let seen = format!("{by_lss} by LSS, {by_sdo} by SDO");
             bench.report.expect(format!("{board}: {name}"), is_equal, seen, hex(number));
         }
-        bench.report.equal(
-            format!("{board}: revision of this firmware"),
-            format!("{:08X}", address.revision_number),
-            &format!("{:08X}", DEVICE.address.revision_number),
-        );
-        for (index, expected, name) in [
-            (0x1008, DEVICE.name, "device name"),
-            (0x1009, DEVICE.hardware_version, "hardware version"),
-            (0x100A, DEVICE.software_version, "software version"),
-        ] {
+        if let Some(revision_number) = bench.product.revision_number {
+            bench.report.equal(
+                format!("{board}: revision number of {}", bench.product.source),
+                format!("{:08X}", address.revision_number),
+                &format!("{revision_number:08X}"),
+            );
+        }
+        let texts = bench.product.texts.clone();
+        for ((index, name), expected) in
+            [(0x1008, "device name"), (0x1009, "hardware version"), (0x100A, "software version")]
+                .into_iter()
+                .zip(texts)
+        {
+            let Some(expected) = expected else { continue };
             let text = sdo::read(&mut bench.bus, board.id.get(), index, 0)?;
             let seen = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
             let seen = seen.unwrap_or_else(|failure| failure);
-            bench.report.equal(format!("{board}: {name}"), seen, expected);
+            bench.report.equal(format!("{board}: {name}"), seen, &expected);
         }
+    }
+    if let Some(rates) = &bench.product.rates {
+        let list = |rates: &[BitRate]| {
+            let rates: Vec<_> = rates.iter().map(|rate| rate.kbit_per_s().to_string()).collect();
+            format!("{} kbit/s", rates.join(", "))
+        };
+        bench.report.equal("bit rates that 13 accepts", list(&bench.offered), &list(rates));
     }
     bench.bus.request(Request::SwitchToWaiting)
 }

@@ -3,8 +3,9 @@
 use std::time::{Duration, Instant};
 
 use canopen_node::{BitRate, BitRateSetting, lss::Request};
-use firmware::device::DEVICE;
+use conformance::lss::Feature;
 
+use super::rates;
 use crate::{
     adapter::Received,
     bench::{Bench, RESET_NODE, SEARCH},
@@ -18,10 +19,9 @@ const UNUSED: u16 = 0x7FE;
 const INTERVAL: Duration = Duration::from_millis(100);
 
 pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
-    if !DEVICE.bit_rates.offers(BitRateSetting::Automatic) {
-        bench
-            .report
-            .not_tried("detection", "this firmware does not offer it (BIT_RATES in src/device.rs)");
+    if !bench.detects {
+        let why = "the product does not offer it: 13 refuses index 9 (BIT_RATES in src/device.rs)";
+        bench.report.not_tried("detection", why);
         return Ok(());
     }
     let boards = bench.boards.clone();
@@ -33,7 +33,8 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
         _ => &[BitRate::Kbit1000, BitRate::Kbit500, BitRate::Kbit50, BitRate::Kbit10],
     };
     let base = bench.base;
-    let rates: Vec<_> = others.iter().copied().filter(|rate| *rate != base).chain([base]).collect();
+    let is_other = |rate: &BitRate| *rate != base && bench.offered.contains(rate);
+    let rates: Vec<_> = others.iter().copied().filter(is_other).chain([base]).collect();
     for rate in rates {
         bench.bus.nmt(RESET_NODE, 0)?;
         // The command must have left before the adapter does.
@@ -70,15 +71,19 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
 }
 
 pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
-    if !DEVICE.rescue {
-        bench
-            .report
-            .not_tried("rescue", "this firmware is without it (`with_rescue` in src/device.rs)");
+    if bench.product.lacks(Feature::Rescue) {
+        let why = "the product is without it (`with_rescue` in src/device.rs)";
+        bench.report.not_tried("rescue", why);
         return Ok(());
     }
+    let preferred = [BitRate::Kbit250, BitRate::Kbit500];
+    let Some(wrong) = rates::another(bench, &preferred) else {
+        bench.report.not_tried("rescue", "the product offers one bit rate only");
+        return Ok(());
+    };
     // One after the other: boards at the same wrong rate would receive each other, and stay.
     for board in bench.boards.clone() {
-        if !rescue_of(bench, board)? {
+        if !rescue_of(bench, board, wrong)? {
             break;
         }
     }
@@ -86,11 +91,10 @@ pub fn rescue(bench: &mut Bench) -> Result<(), Stop> {
 }
 
 /// Returns whether the board has its settings again.
-fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
+fn rescue_of(bench: &mut Bench, board: Board, wrong: BitRate) -> Result<bool, Stop> {
     /// The emergency error code of a board that is a guest at another rate.
     const GUEST: u16 = 0xFF10;
     let base = bench.base;
-    let wrong = if base == BitRate::Kbit250 { BitRate::Kbit500 } else { BitRate::Kbit250 };
     let what = format!("{board} with {wrong} stored");
     if !bench.store(&what, &[board], wrong.into())? {
         return Ok(false);
@@ -104,7 +108,8 @@ fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
         true => format!("answers at {base} after {:.1} s", begin.elapsed().as_secs_f64()),
         false => format!("no answer in {} s", SEARCH.as_secs()),
     };
-    bench.report.expect(what, is_there, seen, "an answer at the rate of the bus");
+    let expected = "an answer at the rate of the bus; `--without rescue` for a product without it";
+    bench.report.expect(what, is_there, seen, expected);
     if !is_there {
         return Ok(false);
     }
@@ -133,6 +138,9 @@ fn rescue_of(bench: &mut Bench, board: Board) -> Result<bool, Stop> {
         (6, base.kbit_per_s(), "rate in use"),
         (7, 1, "rescues"),
     ] {
+        if bench.skips(board, name, (0x2000, sub_index))? {
+            continue;
+        }
         let seen = bench.shown(board, (0x2000, sub_index), |number| number.to_string())?;
         let what = format!("{board}: {name}, 2000h sub {sub_index}");
         bench.report.equal(what, seen, &expected.to_string());

@@ -25,7 +25,10 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     if !rates::can_change(bench) {
         return Ok(());
     }
-    let other = if bench.base == BitRate::Kbit500 { BitRate::Kbit125 } else { BitRate::Kbit500 };
+    let Some(other) = rates::another(bench, &[BitRate::Kbit500, BitRate::Kbit125]) else {
+        bench.report.not_tried("a switch", "the product offers one bit rate only");
+        return Ok(());
+    };
     let delays: &[u16] = if bench.is_quick { &[500] } else { &[500, 1000] };
     for &delay in delays {
         for rate in [other, bench.base] {

@@ -5,6 +5,7 @@ mod conformance;
 mod folder;
 mod lone;
 mod port;
+mod product;
 mod proxy;
 mod run;
 mod whole;
