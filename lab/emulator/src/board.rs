@@ -11,7 +11,7 @@ pub use log::LogLine;
 use crate::{
     Time,
     can::{Clock, bxcan},
-    chip::{Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Request, ResetCause},
+    chip::{Chip, ChipVariant, FLASH_BASE, Finding, Output, Part, Pin, Pwm, Request, ResetCause},
     engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
@@ -311,6 +311,12 @@ impl Board {
     /// The part has no such pin.
     pub fn output(&self, pin: Pin) -> Output {
         self.chip().gpio().output(pin)
+    }
+
+    /// The waveform of a timer at a pin, if there is one.
+    pub fn pwm(&self, pin: Pin) -> Option<Pwm> {
+        let now = self.now();
+        self.chip().pwm(pin, now)
     }
 
     pub fn flash(&self) -> Vec<u8> {

@@ -10,10 +10,12 @@ mod gpio;
 mod iwdg;
 mod map;
 mod part;
+mod pwm;
 mod rcc;
 mod registers;
 mod rng;
 mod rtc;
+mod spi;
 mod supply;
 mod surroundings;
 mod system;
@@ -28,8 +30,10 @@ pub use flash::{Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
 pub use map::{CCM_BASE, FLASH_BASE, RAM_BASE};
 pub use part::{Part, UnknownPart};
+pub use pwm::Pwm;
 pub use rcc::{Clocks, ResetCause};
 pub use registers::{Access, BusFault, Width};
+pub use spi::SpiDevice;
 pub use supply::Thresholds;
 pub use variant::{ChipVariant, StartUp};
 
@@ -43,6 +47,7 @@ use rcc::{Rcc, RccF4};
 use registers::{Apb, Registers};
 use rng::Rng;
 use rtc::Rtc;
+use spi::Spi;
 pub use system::AtZero;
 use system::{Dbgmcu, Exti, Factory, Power, Pwr, Syscfg};
 use timer::Timer;
@@ -73,6 +78,8 @@ pub struct Chip {
     timers: Vec<Timer>,
     /// USART1 to USART6 of an STM32F4.
     usarts: Vec<Usart>,
+    /// SPI1 to SPI6 of an STM32F4.
+    spis: Vec<Spi>,
     rng: Rng,
     crc: Crc,
     rtc: Rtc,
@@ -133,6 +140,7 @@ impl Chip {
             iwdg: Iwdg::new(variant.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
             usarts: usart::KINDS.iter().map(Usart::new).collect(),
+            spis: spi::KINDS.iter().map(Spi::new).collect(),
             rng: Rng::new(),
             crc: Crc::new(),
             rtc: Rtc::new(),
@@ -232,6 +240,7 @@ impl Chip {
             | u128::from(self.rng.irq()) << 80
             | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
             | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
+            | self.spis.iter().map(Spi::irqs).fold(0, BitOr::bitor)
     }
 
     /// When the chip next does something by itself, CAN apart, which lives on the bus's time.
@@ -244,6 +253,7 @@ impl Chip {
             .into_iter()
             .flatten()
             .chain(timers)
+            .chain(self.spis.iter().map(Spi::deadline))
             .chain([self.adc.deadline()])
             .fold(Time::MAX, Time::min)
     }
@@ -261,6 +271,7 @@ impl Chip {
         }
         self.flash.advance(now);
         self.timers.iter_mut().for_each(|timer| timer.advance(now));
+        self.spis.iter_mut().for_each(|spi| spi.advance(now));
         self.adc.advance(now);
         None
     }
@@ -332,6 +343,7 @@ impl Chip {
         (0..self.timers.len())
             .map(Block::Timer)
             .chain((0..self.usarts.len()).map(Block::Usart))
+            .chain((0..self.spis.len()).map(Block::Spi))
             .chain((0..self.gpio.len()).map(Block::Gpio))
             .chain((0..self.cans.len()).map(Block::Can))
             .chain([Block::Pwr, Block::Rng, Block::Crc, Block::Adc, Block::Syscfg])
@@ -392,6 +404,7 @@ impl Chip {
             Block::Pwr => &mut *self.pwr,
             Block::Timer(timer) => &mut self.timers[timer],
             Block::Usart(usart) => &mut self.usarts[usart],
+            Block::Spi(spi) => &mut self.spis[spi],
             Block::Rng => &mut self.rng,
             Block::Crc => &mut self.crc,
             Block::Rtc => &mut self.rtc,
@@ -496,7 +509,10 @@ impl Chip {
                 self.can_written = true;
                 return written.and_then(|()| self.check_can(can, offset, value));
             }
-            Block::Gpio(_) => self.connect_cans(now),
+            Block::Gpio(_) => {
+                self.connect_cans(now);
+                self.select_spi_devices();
+            }
             Block::Iwdg if self.iwdg.running() => self.rcc.force_lsi(now),
             _ => {}
         }
@@ -545,6 +561,13 @@ impl Chip {
                 Apb::Two => clocks.timclk2,
             };
             timer.set_clock(clock, now);
+        }
+        for spi in &mut self.spis {
+            let clock = match spi.place().0 {
+                Apb::One => clocks.pclk1,
+                Apb::Two => clocks.pclk2,
+            };
+            spi.set_clock(clock, now);
         }
     }
 

@@ -571,7 +571,7 @@ fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_resets() {
 #[test]
 fn findings_name_the_instruction() {
     let mut program = Program::new();
-    program.load(R0, 0x4000_3800);
+    program.load(R0, 0x4000_5400);
     let pc = program.here() - 2;
     program.stop();
     let mut board = board(program);

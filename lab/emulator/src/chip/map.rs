@@ -5,7 +5,7 @@ use super::{
     part::Family,
     rcc::{self, Gate},
     registers::{Apb, Place},
-    timer, usart,
+    spi, timer, usart,
 };
 use crate::can::fdcan;
 
@@ -23,6 +23,7 @@ pub(super) enum Block {
     Pwr,
     Timer(usize),
     Usart(usize),
+    Spi(usize),
     Rtc,
     Rng,
     Crc,
@@ -99,7 +100,9 @@ impl Block {
             _ => {
                 let timer = timer::KINDS.iter().position(|kind| kind.place == place);
                 let usart = usart::KINDS.iter().position(|kind| kind.place == place);
-                timer.map(Self::Timer).or(usart.map(Self::Usart)).unwrap_or(Self::Unknown)
+                let spi = spi::KINDS.iter().position(|kind| kind.place == place);
+                let timer = timer.map(Self::Timer).or(usart.map(Self::Usart));
+                timer.or(spi.map(Self::Spi)).unwrap_or(Self::Unknown)
             }
         }
     }
@@ -110,12 +113,13 @@ impl Block {
         let (bus, bit) = match self {
             Self::Gpio(port) if is_g4 => return Some((g4::AHB2ENR, port as u32)),
             Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
-            Self::Rng | Self::Adc | Self::Usart(_) if is_g4 => return None,
+            Self::Rng | Self::Adc | Self::Usart(_) | Self::Spi(_) if is_g4 => return None,
             Self::Syscfg if is_g4 => (Apb::Two, 0),
             Self::Crc => return Some((rcc::AHB1ENR, 12)),
             Self::Rng => return Some((rcc::AHB2ENR, 6)),
             Self::Timer(timer) => timer::KINDS[timer].place,
             Self::Usart(usart) => usart::KINDS[usart].place,
+            Self::Spi(spi) => spi::KINDS[spi].place,
             Self::Can(can) => (Apb::One, 25 + can as u32),
             Self::Pwr => (Apb::One, 28),
             Self::Adc => (Apb::Two, 8),

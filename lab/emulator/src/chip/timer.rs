@@ -1,7 +1,8 @@
-//! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts.
+//! TIM1 to TIM14 (RM0090 chapters 17 to 20): up-counters with compare interrupts and outputs.
 
 use super::{
     Problem,
+    pwm::Pwm,
     registers::{Apb, Place, Registers},
 };
 use crate::{
@@ -30,6 +31,11 @@ const CEN: u32 = 1 << 0;
 const URS: u32 = 1 << 2;
 const OPM: u32 = 1 << 3;
 const ARPE: u32 = 1 << 7;
+/// OCxM and OCxPE of CCMR1 and CCMR2; CCxE and CCxP of CCER.
+const OUTPUT_MODES: u32 = 0x7878;
+const ENABLES: u32 = 0x3333;
+/// AOE counts as MOE, which it sets at the next update.
+const MOE_AOE: u32 = 1 << 15 | 1 << 14;
 /// The bits of SR, EGR and DIER: the update, followed by the channels.
 const UPDATE: u32 = 1 << 0;
 
@@ -65,7 +71,8 @@ pub static KINDS: [Kind; 14] = [
     kind((Apb::One, 8), 1, (45, 45)),
 ];
 
-/// A timer as a time base: it counts up, with no pins, no captures and no DMA.
+/// A timer: it counts up, and has no captures, no complementary outputs, no break and no DMA. A compare value takes effect
+/// at once, also if it is preloaded.
 #[derive(Debug)]
 pub struct Timer {
     kind: &'static Kind,
@@ -73,10 +80,17 @@ pub struct Timer {
     cr1: u32,
     dier: u32,
     sr: u32,
-    /// PSC as written, and as loaded by the latest update event; an overflow does not load it.
+    /// PSC as written, and as loaded by the latest update event.
     prescaler: u32,
     divider: u32,
+    /// ARR as loaded, and as it waits for the next update event.
     reload: u32,
+    preloaded: Option<u32>,
+    /// CCMR1 and CCMR2.
+    modes: [u32; 2],
+    /// CCER.
+    enables: u32,
+    bdtr: u32,
     compare: [u32; 4],
     /// The counter at `since`, the beginning of a count.
     origin: u32,
@@ -101,6 +115,10 @@ impl Timer {
             prescaler: 0,
             divider: 0,
             reload: kind.max,
+            preloaded: None,
+            modes: [0; 2],
+            enables: 0,
+            bdtr: 0,
             compare: [0; 4],
             origin: 0,
             since: Time::ZERO,
@@ -158,25 +176,62 @@ impl Timer {
 
     /// Updates SR with the events until `now`.
     pub fn advance(&mut self, now: Time) {
-        let counts = self.counts_until(now);
-        let passed = counts.saturating_sub(self.seen);
-        if passed == 0 {
-            return;
-        }
-        let overflow = self.counts_to(0);
-        let stops = self.cr1 & OPM != 0 && overflow.is_some_and(|counts| counts <= passed);
-        let passed = if stops { overflow.unwrap_or(passed) } else { passed };
-        for (bit, value) in self.events() {
-            if self.counts_to(value).is_some_and(|counts| counts <= passed) {
-                self.sr |= bit;
+        loop {
+            let counts = self.counts_until(now);
+            let passed = counts.saturating_sub(self.seen);
+            if passed == 0 {
+                return;
             }
+            let overflow = self.counts_to(0).filter(|counts| *counts <= passed);
+            let turn = overflow.filter(|_| self.cr1 & OPM != 0 || self.awaits_update());
+            let passed = turn.unwrap_or(passed);
+            for (bit, value) in self.events() {
+                if self.counts_to(value).is_some_and(|counts| counts <= passed) {
+                    self.sr |= bit;
+                }
+            }
+            self.seen += passed;
+            if turn.is_some() {
+                self.settle(now);
+                self.load();
+                // OPM and CEN are the bits 3 and 0.
+                self.cr1 &= !(self.cr1 >> 3 & CEN);
+            }
+            self.plan();
         }
-        self.seen += passed;
-        if stops {
-            self.settle(now);
-            self.cr1 &= !CEN;
+    }
+
+    /// Whether the next update event changes the count.
+    fn awaits_update(&self) -> bool {
+        self.divider != self.prescaler || self.preloaded.is_some()
+    }
+
+    /// Loads what waits for an update event.
+    fn load(&mut self) {
+        self.divider = self.prescaler;
+        self.reload = self.preloaded.take().unwrap_or(self.reload);
+    }
+
+    /// The waveform that a channel, 0 for the first, makes at its pin: PWM mode 1 or 2, or toggling.
+    pub fn output(&self, channel: usize) -> Option<Pwm> {
+        let mode = self.modes[channel / 2] >> (8 * (channel % 2) + 4) & 7;
+        let enable = self.enables >> (4 * channel) & 3;
+        let is_off = self.exists(BDTR) && self.bdtr & MOE_AOE == 0;
+        if enable & 1 == 0 || is_off || self.cr1 & CEN == 0 {
+            return None;
         }
-        self.plan();
+        let all = u64::from(self.reload) + 1;
+        let active = u64::from(self.compare[channel]).min(all);
+        let (period, active) = match mode {
+            6 => (all, active),
+            7 => (all, all - active),
+            3 => (2 * all, all),
+            _ => return None,
+        };
+        let high = if enable & 2 == 0 { active } else { period - active };
+        let (rate, count) = self.rate();
+        let time = |counts: u64| Time::from_ps((u128::from(counts) * count / rate) as u64);
+        Some(Pwm { period: time(period), high: time(high) })
     }
 
     fn exists(&self, offset: u32) -> bool {
@@ -196,7 +251,7 @@ impl Timer {
     /// Generates events; an update event loads the prescaler and clears the counter.
     fn generate(&mut self, events: u32) {
         if events & UPDATE != 0 {
-            self.divider = self.prescaler;
+            self.load();
             self.origin = 0;
         }
         let silent = if self.cr1 & URS == 0 { 0 } else { UPDATE };
@@ -206,11 +261,6 @@ impl Timer {
     fn check(&self) -> Result<(), Problem> {
         if self.cr1 & CEN == 0 {
             return Ok(());
-        }
-        if self.divider != self.prescaler {
-            return Err(Problem::Misuse(
-                "a timer counts with a prescaler that no update has loaded",
-            ));
         }
         if self.origin > self.reload {
             return Err(Problem::Misuse("a timer's counter is above its auto-reload value"));
@@ -261,7 +311,9 @@ impl Timer {
     /// Determines the next interrupt.
     fn plan(&mut self) {
         let waits = |&(bit, _): &(u32, u32)| self.dier & !self.sr & bit != 0;
-        let next = self.events().filter(waits).filter_map(|(_, value)| self.counts_to(value)).min();
+        let update = self.counts_to(0).filter(|_| self.dier != 0 && self.awaits_update());
+        let events = self.events().filter(waits).filter_map(|(_, value)| self.counts_to(value));
+        let next = events.chain(update).min();
         self.deadline = match next {
             Some(counts) if self.counts() => {
                 let (rate, count) = self.rate();
@@ -289,7 +341,11 @@ impl Registers for Timer {
             SR => self.sr,
             CNT => self.count_after(self.seen),
             PSC => self.prescaler,
-            ARR => self.reload,
+            ARR => self.preloaded.unwrap_or(self.reload),
+            CCMR1 => self.modes[0],
+            CCMR2 => self.modes[1],
+            CCER => self.enables,
+            BDTR => self.bdtr,
             CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
             _ => 0,
         })
@@ -304,9 +360,6 @@ impl Registers for Timer {
         if !self.exists(offset) {
             return Err(Problem::Unmodelled);
         }
-        if offset == ARR && self.cr1 & (CEN | ARPE) == CEN | ARPE && value != self.reload {
-            return Err(Problem::Misuse("a preloaded auto-reload value is not modelled"));
-        }
         // A register of 16 bits ignores the upper half of the bus.
         let value = match offset {
             CNT | ARR | CCR1..=CCR4 => value & self.kind.max,
@@ -315,6 +368,9 @@ impl Registers for Timer {
         let writable = match offset {
             CR1 => CEN | URS | OPM | ARPE,
             DIER | EGR => self.event_bits(),
+            CCMR1 | CCMR2 => OUTPUT_MODES,
+            CCER => ENABLES,
+            BDTR => MOE_AOE,
             PSC | SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
             _ => 0,
         };
@@ -326,7 +382,12 @@ impl Registers for Timer {
             EGR => self.generate(value & writable),
             CNT => self.origin = value,
             PSC => self.prescaler = value,
-            ARR => self.reload = value,
+            ARR if self.cr1 & ARPE != 0 => self.preloaded = Some(value),
+            ARR => (self.reload, self.preloaded) = (value, None),
+            CCMR1 => self.modes[0] = value & writable,
+            CCMR2 => self.modes[1] = value & writable,
+            CCER => self.enables = value & writable,
+            BDTR => self.bdtr = value & writable,
             CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
             _ => {}
         }

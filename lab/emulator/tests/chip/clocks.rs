@@ -208,13 +208,13 @@ fn a_peripheral_without_clock_reads_0_loses_writes_and_is_found() {
 fn an_unknown_register_is_found_once_and_counted() {
     let mut rig = Rig::new(Part::Stm32f405);
     for _ in 0..3 {
-        assert_eq!(rig.at(Time::from_us(5)).read(0x4000_3800), 0);
+        assert_eq!(rig.at(Time::from_us(5)).read(0x4000_5400), 0);
     }
     let [finding] = rig.findings() else { panic!("{:?}", rig.findings()) };
     assert_eq!((finding.problem, finding.count, finding.pc), (Problem::Unmodelled, 3, 0x0800_1234));
     assert_eq!(
         finding.to_string(),
-        "0.005000 ms, pc 08001234: 32-bit read of 40003800: not modelled (3 times)"
+        "0.005000 ms, pc 08001234: 32-bit read of 40005400: not modelled (3 times)"
     );
 }
 

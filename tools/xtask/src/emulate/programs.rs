@@ -191,9 +191,9 @@ mod tests {
 
     #[test]
     fn the_report_names_each_access_that_is_not_modelled() {
-        let report = report_on(program_that_reads(0x4000_3800));
+        let report = report_on(program_that_reads(0x4000_5400));
         assert!(report.starts_with("a.elf on stm32f405: 5 ms"), "{report}");
-        let line = "\n  not modelled: SPI2, offset 00h, read once by 08000010\n";
+        let line = "\n  not modelled: I2C1, offset 00h, read once by 08000010\n";
         assert!(report.contains(line), "{report}");
         let report = report_on(program_that_reads(0x4002_3800));
         assert!(report.contains("it touched nothing that the board does not model"), "{report}");
