@@ -62,7 +62,7 @@ fn select(rig: &mut Rig, is_selected: bool) {
 /// Sends a word, and waits for the one that comes.
 fn transfer(rig: &mut Rig, word: u32) -> u32 {
     rig.write(SPI1 + DR, word);
-    rig.now = rig.now + Time::from_us(3);
+    rig.now += Time::from_us(3);
     assert_eq!(rig.read(SPI1 + SR) & (RXNE | BSY), RXNE);
     rig.read(SPI1 + DR)
 }
