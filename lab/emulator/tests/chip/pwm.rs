@@ -16,6 +16,7 @@ const CCER: u32 = 0x20;
 const PSC: u32 = 0x28;
 const ARR: u32 = 0x2C;
 const CCR1: u32 = 0x34;
+const CCR2: u32 = 0x38;
 const BDTR: u32 = 0x44;
 
 const PWM_MODE_1: u32 = 0x68;
@@ -78,6 +79,16 @@ fn a_pin_in_another_function_shows_no_waveform() {
     assert_eq!((at_pin(&mut rig, 7), at_pin(&mut rig, 8)), (None, None));
     rig.write(GPIOA + 0x20, 5 << 24);
     assert_eq!(at_pin(&mut rig, 6), None);
+}
+
+#[test]
+fn the_next_pin_shows_the_next_channel() {
+    let mut rig = running(TIM3, 250);
+    rig.write_all(&[(GPIOA, 0xA800_0000 | 0xA << 12), (GPIOA + 0x20, 0x22 << 24)]);
+    for (register, value) in [(CCMR1, PWM_MODE_1 << 8 | PWM_MODE_1), (CCR2, 600), (CCER, 0x11)] {
+        rig.write(TIM3 + register, value);
+    }
+    assert_eq!((at_pin(&mut rig, 6), at_pin(&mut rig, 7)), (pwm(1_000, 250), pwm(1_000, 600)));
 }
 
 #[test]
