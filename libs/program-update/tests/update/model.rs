@@ -15,7 +15,7 @@ use std::{
 pub use flash::{Area, Journal};
 use session::run;
 
-/// What a device is between two starts, and what the world knows of it.
+/// What a device is before a part of a run, and what the world knows of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct World {
     pub run: Area,
@@ -28,11 +28,21 @@ pub struct World {
     /// The number of the newest program.
     pub newest: u8,
     pub cuts: u8,
-    /// The mailbox says "stop".
-    pub stop: bool,
+    pub at: At,
 }
 
-/// Explores every run of `updates` updates with `cuts` power cuts; returns the number of states between two starts.
+/// Where a run goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum At {
+    /// At a start. The mailbox may say "stop".
+    Start { stop: bool },
+    /// In the loader, with a restore to do or without.
+    Loader { restores: bool },
+    /// In the program.
+    Program { trial: bool },
+}
+
+/// Explores every run of `updates` updates with `cuts` power cuts; returns the number of states.
 fn explore(updates: u8, cuts: u8) -> usize {
     let new = World {
         run: Area::Firm(0),
@@ -42,7 +52,7 @@ fn explore(updates: u8, cuts: u8) -> usize {
         maybe: 0,
         newest: 0,
         cuts,
-        stop: false,
+        at: At::Start { stop: false },
     };
     let images = flash::images(updates + 1);
     let mut before: HashMap<World, Option<(World, Rc<str>)>> = HashMap::from([(new, None)]);
@@ -78,6 +88,6 @@ fn from_environment(name: &str, default: u8) -> u8 {
 
 #[test]
 fn any_cuts_leave_the_old_or_the_new_program() {
-    let (updates, cuts) = (from_environment("UPDATES", 1), from_environment("CUTS", 1));
+    let (updates, cuts) = (from_environment("UPDATES", 1), from_environment("CUTS", 2));
     println!("UPDATES={updates} CUTS={cuts}: {} states", explore(updates, cuts));
 }

@@ -4,7 +4,7 @@ use std::{cell::RefCell, collections::HashSet, rc::Rc};
 
 use program_update::{Area as Place, Flash, FlashError, journal};
 
-use super::World;
+use super::{At, World};
 use crate::program::{file, words};
 
 const SECTORS: [u32; 2] = [576, 192];
@@ -156,18 +156,6 @@ impl Chip {
         self.0.borrow().now()
     }
 
-    /// What is in doubt reads anew, as for a program that starts.
-    pub fn read_anew(&self) {
-        let mut inner = self.0.borrow_mut();
-        inner.read = [None; _];
-        for place in [Place::Run, Place::Backup] {
-            let content = inner.content(place);
-            if content.is_untouched {
-                content.words = None;
-            }
-        }
-    }
-
     pub fn change(&self, change: impl FnOnce(&mut World)) {
         change(&mut self.0.borrow_mut().world);
     }
@@ -231,7 +219,7 @@ impl Inner {
 
     fn cut(&mut self, world: World, why: &'static str) {
         if let Some(cuts) = world.cuts.checked_sub(1) {
-            let world = World { cuts, stop: false, ..world };
+            let world = World { cuts, at: At::Start { stop: false }, ..world };
             if self.seen.insert(world) {
                 self.cut.push((world, why));
             }
@@ -275,7 +263,10 @@ impl Inner {
             }
         }
         // A copy of a program that may have been confirmed counts from now on.
-        if word == journal::SET && i == 0 && now.run == now.backup && now.run == Area::Firm(now.maybe)
+        if word == journal::SET
+            && i == 0
+            && now.run == now.backup
+            && now.run == Area::Firm(now.maybe)
         {
             self.world.kept = now.maybe;
         }
@@ -310,7 +301,8 @@ impl Flash for Chip {
             Some(read) => read,
             None => {
                 let may = inner.world.journal.0[i];
-                let bits: Vec<_> = (0..4).map(|bit| 1 << bit).filter(|bit| may & bit != 0).collect();
+                let bits: Vec<_> =
+                    (0..4).map(|bit| 1 << bit).filter(|bit| may & bit != 0).collect();
                 bits[inner.choices.choose(bits.len())]
             }
         };

@@ -1,4 +1,4 @@
-//! One start of the device in the model, until the next one: what the loader, the program and the client do.
+//! A part of a run in the model: what the loader, the program and the client do.
 
 use std::rc::Rc;
 
@@ -9,7 +9,7 @@ use program_update::{
 };
 
 use super::{
-    Area, World,
+    Area, At, World,
     flash::{Chip, Choices, PROGRAM},
 };
 use crate::program::{expected, file};
@@ -33,7 +33,9 @@ pub fn run(
         if let Some(violation) = inner.violation.take() {
             return Err(format!("{violation} ({why})"));
         }
-        after.extend(inner.cut.drain(..).map(|(world, cut)| (world, format!("{why}: {cut}").into())));
+        after.extend(
+            inner.cut.drain(..).map(|(world, cut)| (world, format!("{why}: {cut}").into())),
+        );
         after.push((end, why.into()));
         choices = std::mem::take(&mut inner.choices);
         if !choices.advance() {
@@ -42,56 +44,68 @@ pub fn run(
     }
 }
 
-/// One run; returns what has happened.
+/// One run up to where others may join it; returns what has happened.
 fn session(chip: &Chip, updates: u8) -> &'static str {
-    let command = if chip.world().stop { Command::Stop } else { Command::Start };
-    let mailbox = Mailbox { command, ..Mailbox::default() };
-    let (start, mailbox) = decide(&mut chip.clone(), Some(mailbox), Cause::Other);
-    chip.change(|world| world.stop = false);
-    match start {
-        Start::Program => program(chip, mailbox),
-        Start::Loader(why) => loader(chip, why, updates),
+    match chip.world().at {
+        At::Start { stop } => start(chip, stop),
+        At::Program { trial } => program(chip, trial),
+        At::Loader { restores } => {
+            let why = loader(chip, restores, updates);
+            chip.change(|world| world.at = At::Start { stop: false });
+            why
+        }
     }
 }
 
-fn program(chip: &Chip, mailbox: Mailbox) -> &'static str {
+fn start(chip: &Chip, stop: bool) -> &'static str {
+    let command = if stop { Command::Stop } else { Command::Start };
+    let mailbox = Mailbox { command, ..Mailbox::default() };
+    let (start, mailbox) = decide(&mut chip.clone(), Some(mailbox), Cause::Other);
+    let at = match start {
+        Start::Program => At::Program { trial: mailbox.started == Started::Trial },
+        Start::Loader(why) => {
+            chip.check(why != Why::NoProgram, "the loader finds no program");
+            At::Loader { restores: why == Why::Restore }
+        }
+    };
+    chip.change(|world| world.at = at);
+    "a start"
+}
+
+fn program(chip: &Chip, trial: bool) -> &'static str {
     let world = chip.world();
     let Area::Firm(number) = world.run else {
         chip.check(false, "a program is started that is not certain");
         return "";
     };
-    let is_trial = mailbox.started == Started::Trial;
-    if !is_trial {
+    if !trial {
         let is_right = number == world.kept || number == world.maybe;
         chip.check(is_right, "another program is started than the one confirmed");
     }
-    chip.read_anew();
-    let why = match chip.choose(4) {
-        0 => "a reset",
-        1 => {
-            chip.change(|world| world.stop = true);
-            "a stop"
+    let (is_confirmed, stop) = (chip.choose(2) == 1, chip.choose(2) == 1);
+    if is_confirmed {
+        chip.change(|world| world.maybe = number);
+        let started = if trial { Started::Trial } else { Started::Program };
+        let mailbox = Mailbox { started, ..Mailbox::default() };
+        let mut program = Program::new(&mut chip.clone(), Some(mailbox), Confirm::ByMaster, 0);
+        if program.confirm(&mut chip.clone()).is_ok() {
+            chip.change(|world| world.kept = number);
         }
-        stops => {
-            chip.change(|world| world.maybe = number);
-            let mut program =
-                Program::new(&mut chip.clone(), Some(mailbox), Confirm::ByMaster, 0);
-            if program.confirm(&mut chip.clone()).is_ok() {
-                chip.change(|world| world.kept = number);
-            }
-            chip.change(|world| world.stop = stops == 3);
-            "a confirmation"
-        }
-    };
-    why
+    }
+    chip.change(|world| world.at = At::Start { stop });
+    match (is_confirmed, stop) {
+        (false, false) => "a reset",
+        (false, true) => "a stop",
+        (true, false) => "a confirmation and a reset",
+        (true, true) => "a confirmation and a stop",
+    }
 }
 
 type Loader = Updater<Chip, Unsigned, 64>;
 
-fn loader(chip: &Chip, why: Why, updates: u8) -> &'static str {
+fn loader(chip: &Chip, restores: bool, updates: u8) -> &'static str {
     let world = chip.world();
-    chip.check(why != Why::NoProgram, "the loader finds no program");
-    chip.read_anew();
+    let why = if restores { Why::Restore } else { Why::Stop };
     let mut loader = Loader::new(chip.clone(), Unsigned, expected(768), why, 0);
     let may_clear = world.newest < updates;
     if !may_clear || chip.choose(2) == 0 {
