@@ -66,10 +66,10 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     pub(super) fn clear(&mut self) {
         self.reset = super::Reset::No;
         self.abort();
+        self.status = Status::Ok;
         if matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
             return;
         }
-        self.status = Status::Ok;
         self.cleared = Cleared::Soon;
         if self.step != Step::Idle {
             // A restore, or the mark of a new program: it has to be undone.
