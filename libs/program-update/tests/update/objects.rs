@@ -159,8 +159,15 @@ fn a_loader_without_any_program_stays_and_takes_the_first_one_without_a_trial() 
 fn a_download_needs_a_clear_and_after_its_first_word_another_one() {
     let (mut device, mut loader) = stopped();
     let file = device.files[1].clone();
-    assert_eq!(loader.write(0, &file[..7]), STATE);
+    assert_eq!(loader.write(0, &file[..511]), Ok(()), "the header is checked first");
+    assert_eq!(loader.write(511, &file[511..518]), STATE);
     assert_eq!(loader.read(Object::FlashStatus), 8, "status 4: not cleared");
+    assert_eq!(loader.write(518, &file[518..525]), STATE);
+    let mut other = file.clone();
+    other[20] ^= 1;
+    assert_eq!(loader.write(0, &other[..512]), Err(Abort::NotStored));
+    assert_eq!(loader.read(Object::FlashStatus), 252 << 16 | 2 << 1);
+    assert_eq!(device.chip.operations(), 0);
     loader.write_control(3).expect("it clears");
     run(&mut device, &mut loader);
     for len in [7, 512, 515] {
@@ -174,7 +181,7 @@ fn a_download_needs_a_clear_and_after_its_first_word_another_one() {
     loader.abort();
     run(&mut device, &mut loader);
     assert_eq!(loader.read(Object::FlashStatus), 8);
-    assert_eq!(loader.write(0, &file[..7]), STATE);
+    assert_eq!(loader.write(0, &file), STATE);
     assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()));
 }
 
