@@ -1,14 +1,14 @@
 //! The loader's objects 1F50h, 1F51h, 1F56h, 1F57h and 2001h, as a client sees them.
 
 use program_update::{
-    Abort, Action, Area, FlashError, Object, Status,
+    Abort, Action, Area, FlashError, Object, Status, Unsigned, Updater,
     start::{Cause, Start, Why, decide},
 };
 
 use crate::{
     device::{Device, Loader, Runs},
     flash::{Chip, Operation},
-    program::file,
+    program::{expected, file},
 };
 
 const SECOND: u32 = 1_000_000;
@@ -77,6 +77,29 @@ fn three_starts_that_are_not_confirmed_restore_the_old_program() {
     assert_eq!(device.number(), 0);
     let mut loader = device.stop().expect("power");
     assert_eq!(device.update(&mut loader, 2).expect("power"), Ok(()), "another update");
+}
+
+#[test]
+fn a_program_with_a_wrong_bit_is_not_started_but_the_one_before() {
+    for at in [0, 200, 515, 591] {
+        let mut damaged = file(1, 20);
+        damaged[at] ^= 4;
+        let mut device = Device::new(Chip::with(&damaged, 0), Vec::new());
+        let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("started") };
+        assert_eq!(values(&loader)[..3], [3, 0, 1 << 1]);
+        assert_eq!(loader.poll(100 * SECOND), None);
+
+        let (mut device, mut loader) = stopped();
+        device.update(&mut loader, 1).expect("power").expect("it is right");
+        device.start().expect("power");
+        device.confirm().expect("power").expect("it is confirmed");
+        device.chip.put(Area::Run, &damaged);
+        assert_eq!(device.alone().expect("power"), 0);
+        device.chip.put(Area::Run, &damaged);
+        device.chip.put(Area::Backup, &damaged);
+        let Runs::Loader(loader) = device.start().expect("power") else { panic!("started") };
+        assert!(loader.is_without_program());
+    }
 }
 
 #[test]
@@ -190,9 +213,12 @@ fn a_client_may_download_right_after_clear_and_send_short_segments() {
     // The lengths of Zephyr's segments, of Lely's, and of a block.
     let zephyr = |offset: usize| if offset % 1024 == 1022 { 2 } else { 7 };
     for (slow, len) in [(0, None), (300, Some(7)), (40, Some(889)), (300, None)] {
-        let (device, mut loader) = stopped();
+        let device = device();
         device.chip.0.borrow_mut().slow = slow;
         let file = file(1, 64);
+        // The ring has room for a quarter of the program.
+        let (chip, expected) = (device.chip.clone(), expected(768));
+        let mut loader = Updater::<_, _, 16>::new(chip, Unsigned, expected, Why::Stop, 0);
         assert_eq!(loader.write_control(3), Ok(()));
         let mut offset = 0;
         while offset < file.len() {
@@ -297,6 +323,27 @@ fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
 }
 
 #[test]
+fn a_copy_in_which_a_word_has_changed_does_not_count() {
+    // The magic bytes, which come last.
+    let last = |area| Operation::Program(area, 0);
+    let (mut device, mut loader) = stopped();
+    device.chip.0.borrow_mut().spoils = Some((last(Area::Backup), (Area::Backup, 560)));
+    assert_eq!(device.update(&mut loader, 1).expect("power"), Err(Abort::Hardware));
+    assert_eq!(loader.read(Object::FlashStatus), 5 << 1);
+    assert_eq!(device.alone().expect("power"), 0);
+
+    device.chip.0.borrow_mut().spoils = Some((last(Area::Run), (Area::Run, 560)));
+    let mut loader = device.stop().expect("power");
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("no restore") };
+    assert_eq!(run(&mut device, &mut loader), None);
+    assert_eq!(loader.read(Object::FlashStatus), 5 << 1);
+    device.chip.0.borrow_mut().spoils = None;
+    assert_eq!(device.alone().expect("power"), 0);
+}
+
+#[test]
 fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
     let (mut device, mut loader) = stopped();
     device.update(&mut loader, 1).expect("power").expect("it is right");
@@ -333,6 +380,17 @@ fn five_starts_that_fail_in_a_row_keep_the_loader_for_60_s() {
         assert_eq!(loader.poll(device.now.wrapping_add(60 * SECOND - 1)), None);
         device.now = device.now.wrapping_add(60 * SECOND);
         assert_eq!(loader.poll(device.now), Some(Action::Reset));
+    }
+}
+
+#[test]
+fn a_watchdog_that_ends_the_loader_is_no_failure_of_the_program() {
+    let mut device = device();
+    for _ in 0..10 {
+        device.stop().expect("power");
+        let Runs::Program(false) = device.start_after(Cause::Failure).expect("power") else {
+            panic!("the loader")
+        };
     }
 }
 
