@@ -385,12 +385,11 @@ fn five_starts_that_fail_in_a_row_keep_the_loader_for_60_s() {
 
 #[test]
 fn a_watchdog_that_ends_the_loader_is_no_failure_of_the_program() {
-    let mut device = device();
+    let (mut chip, mut mailbox) = (Chip::blank(0), None);
     for _ in 0..10 {
-        device.stop().expect("power");
-        let Runs::Program(false) = device.start_after(Cause::Failure).expect("power") else {
-            panic!("the loader")
-        };
+        let (start, next) = decide(&mut chip, mailbox, Cause::Failure);
+        assert_eq!((start, next.failures), (Start::Loader(Why::NoProgram), 0));
+        mailbox = Some(next);
     }
 }
 
