@@ -1,7 +1,7 @@
 //! A flash that fails, forgets or is write-protected: the status that a client sees, and what runs afterwards.
 
 use program_update::{
-    Abort, Action, Area, FlashError, Object,
+    Abort, Action, Area, FlashError, Object, journal,
     start::{Cause, Start, Why, decide},
 };
 
@@ -97,6 +97,23 @@ fn a_copy_in_which_a_word_has_changed_does_not_count() {
     assert_eq!(loader.read(Object::FlashStatus), 5 << 1);
     device.chip.0.borrow_mut().spoils = None;
     assert_eq!(device.alone().expect("power"), 0);
+}
+
+#[test]
+fn a_restore_whose_mark_cannot_be_set_again_starts_the_program_at_once() {
+    let files = vec![file(0, 20)];
+    // A clear was cut in the second SAVED, which still reads set.
+    let mut backup = files[0].clone();
+    backup[0x1C0..0x1C4].fill(0);
+    backup[0x1C4..0x1C8].copy_from_slice(&journal::SET.to_le_bytes());
+    let chip = Chip::with(&files[0], 0);
+    chip.put(Area::Backup, &backup);
+    let mut device = Device::new(chip, files);
+    let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("no restore") };
+    let again = Operation::Program(Area::Backup, 0x1C4);
+    device.chip.0.borrow_mut().spoils = Some((again, (Area::Backup, 0x1C4)));
+    assert_eq!(run(&mut device, &mut loader), Some(Action::Reset));
+    let Runs::Program(false) = device.start().expect("power") else { panic!("not started") };
 }
 
 #[test]
