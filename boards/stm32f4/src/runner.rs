@@ -1,7 +1,7 @@
 //! The node on its board: what each interrupt calls, and the stores.
 
 use canopen_node::{
-    Application, Instant, Node, Settings,
+    Application, BitRate, Frame, Instant, Node, Settings,
     indicator::Lit,
     lss::StoreError,
     runner::{self, System},
@@ -106,6 +106,26 @@ impl<C: Peripheral, A: Application> Runner<C, A> {
     /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
     pub fn send_tpdo(&mut self, number: u8) {
         self.runner.send_tpdo(number);
+    }
+
+    /// The node.
+    pub const fn node(&self) -> &Node<A> {
+        self.runner.node()
+    }
+
+    /// Sends a frame of the application, as [`Node::send`] does.
+    pub fn send(&mut self, frame: Frame) {
+        self.runner.send(frame);
+    }
+
+    /// Switches the bit rate, as [`Node::switch_bit_rate`] does.
+    pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16) -> bool {
+        self.runner.switch_bit_rate(rate, delay_ms)
+    }
+
+    /// Stores the application's values, as [`Node::store_values`] does.
+    pub fn store_values(&mut self) -> bool {
+        self.runner.store_values()
     }
 
     fn take_store(
