@@ -20,10 +20,10 @@ use crate::app::Runner;
 const LISTEN_MICROS: u32 = 1_500_000;
 /// How long a node has to answer by SDO, or to boot up.
 const ANSWER_MICROS: u32 = 50_000;
-/// How long a rival must be silent, and what is added to part two commissioners.
+/// How long a rival must be silent.
 const QUIET_MICROS: u32 = 2_000_000;
 /// The time between two questions for boards that have lost their node-ID with their power.
-const LOOK_MICROS: u32 = 5_000_000;
+const LOOK_MICROS: u32 = 10_000_000;
 /// The switch delay, and its part in which the last requests leave: two frames at 10 kbit/s.
 const DELAY_MS: u16 = 200;
 const LEAVE_MS: u16 = 30;
@@ -112,8 +112,7 @@ pub struct Network<R> {
     line: Line<R>,
     master: Master,
     button: &'static ErasedPin<Input>,
-    /// How long it stays away after a rival: commissioners differ.
-    patience_micros: u32,
+    serial_number: u32,
 }
 
 impl<R: Mutex<T = Runner>> Network<R> {
@@ -122,7 +121,7 @@ impl<R: Mutex<T = Runner>> Network<R> {
             line: Line { runner, heeds_rivals: false, next_rate: None },
             master: Master::new(TIMING),
             button,
-            patience_micros: QUIET_MICROS + 250_000 * (serial_number & 7),
+            serial_number,
         }
     }
 
@@ -137,7 +136,9 @@ impl<R: Mutex<T = Runner>> Network<R> {
             let outcome = self.round(takes);
             self.set_state(outcome.unwrap_or(State::Rival));
             if outcome.is_err() {
-                while self.pause(self.patience_micros).is_err() {
+                // Another commissioner waits for another time.
+                let more = (now().as_micros() ^ self.serial_number) & 0xF_FFFF;
+                while self.pause(QUIET_MICROS + more).is_err() {
                     self.line.change(Application::listen);
                 }
             }
@@ -147,7 +148,7 @@ impl<R: Mutex<T = Runner>> Network<R> {
     }
 
     /// Waits for the button, a bit rate from a client, or a board that has lost its node-ID; returns whether it is the
-    /// button. What other masters do is their affair now.
+    /// button. It looks for such a board while no other master is at work.
     fn wait_for_orders(&mut self) -> bool {
         let state = self.line.read(|network| network.state);
         let looks = [State::Complete as u8, State::Missing as u8].contains(&state);
@@ -162,7 +163,9 @@ impl<R: Mutex<T = Runner>> Network<R> {
             }
             if looks && look_at.has_come(now()) {
                 look_at = now().plus_micros(LOOK_MICROS);
-                if let Ok(Ok(())) = self.run(Request::IdentifyNonConfigured) {
+                let is_alone = !self.line.read(Application::has_rival);
+                self.line.change(Application::listen);
+                if is_alone && let Ok(Ok(())) = self.run(Request::IdentifyNonConfigured) {
                     return false;
                 }
             }

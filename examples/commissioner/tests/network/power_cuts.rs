@@ -1,0 +1,1 @@
+//! Power cuts of each party after each frame of the commissioner.
