@@ -1,15 +1,15 @@
 //! What the commissioner does with its network, in the task that runs when no other does.
 
 use canopen_node::{
-    BitRate, Frame, Instant, NodeId,
+    BitRate, BitRateSetting, Frame, Instant, NodeId,
     lss::{Address, Request},
     nmt, sdo,
 };
 use canopen_stm32f4::{now, watchdog::Task};
 use example_commissioner::application::{Application, BOARDS, State};
 use lss_master::{
-    Bus, Error, Fastscan, InquireNodeId, Master, Member, Procedure, SelectAlone, SwitchBitRate,
-    Timing, run,
+    Bus, Configure, Error, Fastscan, InquireNodeId, Master, Member, Procedure, SelectAlone,
+    SwitchBitRate, Timing, run,
 };
 use rtic::Mutex;
 use stm32f4xx_hal::gpio::{ErasedPin, Input};
@@ -331,7 +331,7 @@ impl<R: Mutex<T = Runner>> Network<R> {
         }
         if state == State::Complete {
             for (node, address) in present() {
-                if !self.store_bit_rate_of(node, address)? {
+                if !self.store_in(node, address, to)? {
                     state = State::NotStored;
                 }
             }
@@ -365,12 +365,12 @@ impl<R: Mutex<T = Runner>> Network<R> {
     }
 
     /// Lets a board store its bit rate, and no node-ID: that is in the table.
-    fn store_bit_rate_of(&mut self, node: NodeId, address: Address) -> Result<bool, Rival> {
-        if self.run(SelectAlone::new(address))?.is_err() {
+    fn store_in(&mut self, node: NodeId, board: Address, rate: BitRate) -> Result<bool, Rival> {
+        if self.run(SelectAlone::new(board))?.is_err() {
             return Ok(false);
         }
-        let _ = self.run(Request::ConfigureNodeId(NodeId::to_lss(None)))?;
-        let outcome = self.run(Request::StoreConfiguration)?;
+        let configure = Configure::node_id(None).with_bit_rate(BitRateSetting::Fixed(rate));
+        let outcome = self.run(configure)?;
         let _ = self.run(Request::ConfigureNodeId(node.get()))?;
         let _ = self.run(Request::SwitchToWaiting)?;
         Ok(outcome.is_ok())

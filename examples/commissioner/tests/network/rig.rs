@@ -98,10 +98,19 @@ impl Rig {
 
     /// The same at this rate.
     pub fn at(rate: BitRate, slaves: impl IntoIterator<Item = (NodeRig, Habits)>) -> Self {
+        Self::of(commissioner(0, rate), rate, slaves)
+    }
+
+    /// The same with this commissioner.
+    pub fn of(
+        commissioner: Board,
+        rate: BitRate,
+        slaves: impl IntoIterator<Item = (NodeRig, Habits)>,
+    ) -> Self {
         let mut network = Network::new();
         network.forbid_misuse();
         network.record(emulator::network::Recording::Off);
-        network.add_board(commissioner(0, rate));
+        network.add_board(commissioner);
         let gateway = network.add_adapter(Adapter::new(bit_per_s(rate)));
         let mut slaves = SlaveBus::new(slaves, Random::from_seed(1));
         slaves.open(rate, true);
@@ -210,8 +219,10 @@ impl Rig {
             if !self.network.board(0).is_powered() {
                 return State::Asking;
             }
-            // A switch of the bit rate wants silence.
-            if self.network.now() < self.requested_at + Time::from_ms(600) {
+            // A switch of the bit rate wants silence, and a search has no answer.
+            let own = self.network.board(0).chip().can(1).bit_rate();
+            let is_switching = self.network.now() < self.requested_at + Time::from_ms(600);
+            if is_switching || own != bit_per_s(self.slaves.rate) {
                 continue;
             }
             let state = self.state();
