@@ -8,7 +8,7 @@ mod switches;
 use canopen_node::{BitRate, NodeId, Settings};
 use emulator::{Time, can::Adapter};
 use example_commissioner::application::State;
-use rig::{Rig, address, blank, commissioner, new_board, stored};
+use rig::{Rig, address, blank, commissioner, new_board, silent};
 use testkit::{
     sdo::Client,
     slave_bus::{Habits, Happening},
@@ -121,15 +121,15 @@ fn a_board_that_could_replace_two_lost_ones_is_not_taken() {
 
 #[test]
 fn the_node_id_of_a_silent_node_is_not_given_to_another() {
-    let silent = Settings::new(RATE.into()).with_node_id(NodeId::new(1));
-    let mut rig = Rig::new([stored(address(2, 1), silent), new_board(address(1, 2), RATE)]);
+    let settings = Settings::new(RATE.into()).with_node_id(NodeId::new(1));
+    let mut rig = Rig::new([silent(address(2, 1), settings), new_board(address(1, 2), RATE)]);
     rig.settle();
     assert_eq!(rig.press(), State::Complete);
     assert_eq!(rig.node_ids(), [Some(1), Some(2)], "1 sends no heartbeat, and answers by SDO");
 
     // In the table, and without LSS.
     let mut rig = Rig::with_habits([
-        (stored(address(1, 1), silent), Habits { without: &[0x43], ..Habits::default() }),
+        (silent(address(1, 1), settings), Habits { without: &[0x43], ..Habits::default() }),
         (new_board(address(1, 2), RATE), Habits::default()),
     ]);
     rig.settle();
@@ -153,7 +153,7 @@ fn a_board_that_has_lost_its_power_has_its_node_id_again_after_seconds() {
 #[test]
 fn a_board_with_another_node_id_gets_that_of_the_table() {
     let other = Settings::new(RATE.into()).with_node_id(NodeId::new(40));
-    let mut rig = Rig::new([stored(address(1, 1), other)]);
+    let mut rig = Rig::new([silent(address(1, 1), other)]);
     rig.settle();
     rig.set_table(&[None, Some(address(1, 1))]);
     assert_eq!(rig.restart(), State::Complete);

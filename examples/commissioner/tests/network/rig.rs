@@ -6,7 +6,7 @@ use std::{
     sync::LazyLock,
 };
 
-use canopen_node::{BitRate, Frame, NodeId, Settings, lss, lss::Address};
+use canopen_node::{BitRate, Device, Frame, NodeId, Settings, lss, lss::Address};
 use emulator::{
     Time,
     board::{self, Board},
@@ -35,13 +35,15 @@ const BUTTON: Pin = Pin('A', 0);
 /// The node-ID of the commissioner.
 const OWN: u16 = 127;
 /// The longest that it takes to deal with a network.
-const LONGEST: Time = Time::from_s(120);
+const LONGEST: Time = Time::from_s(60);
 
 /// The commissioner on the emulated bus, and a gateway to the bus in the process, at the bit rate of most slaves.
 pub struct Rig {
     pub network: Network,
     pub slaves: SlaveBus,
     gateway: AdapterId,
+    /// Acknowledges its frames, as other slaves do.
+    witness: AdapterId,
     answers: VecDeque<[u8; 8]>,
     /// The time of the last LSS request.
     requested_at: Time,
@@ -72,13 +74,16 @@ pub fn address(product_code: u32, number: u32) -> Address {
 
 /// A new board without a node-ID, at this rate.
 pub fn new_board(address: Address, rate: BitRate) -> NodeRig {
-    stored(address, Settings::new(rate.into()))
+    board_of(device(address).with_defaults(Settings::new(rate.into())).with_heartbeat_ms(1_000))
 }
 
-/// A board with these settings.
-pub fn stored(address: Address, settings: Settings) -> NodeRig {
-    let device = device(address).with_defaults(settings).with_rescue(true);
-    NodeRig::with_device(device, BoardFlash::blank(0), 0)
+/// A board with these settings that sends no heartbeat.
+pub fn silent(address: Address, settings: Settings) -> NodeRig {
+    board_of(device(address).with_defaults(settings))
+}
+
+fn board_of(device: Device) -> NodeRig {
+    NodeRig::with_device(device.with_rescue(true), BoardFlash::blank(0), 0)
 }
 
 /// Blank boards of one product.
@@ -111,21 +116,26 @@ impl Rig {
         network.forbid_misuse();
         network.record(emulator::network::Recording::Off);
         network.add_board(commissioner);
-        let gateway = network.add_adapter(Adapter::new(bit_per_s(rate)));
+        let [gateway, witness] =
+            [(); 2].map(|()| network.add_adapter(Adapter::new(bit_per_s(rate))));
         let mut slaves = SlaveBus::new(slaves, Random::from_seed(1));
         slaves.open(rate, true);
         let (answers, sent) = (VecDeque::new(), Vec::new());
-        Self {
+        let mut rig = Self {
             network,
             slaves,
             gateway,
+            witness,
             answers,
             requested_at: Time::ZERO,
             sent,
             cut_after: usize::MAX,
             cut_slave_after: None,
             cut_slave_at_activation: None,
-        }
+        };
+        // It comes to the bus.
+        rig.run_for(Time::from_ms(50));
+        rig
     }
 
     /// Lets time pass.
@@ -147,6 +157,7 @@ impl Rig {
         while let Some((_, frame)) = self.slaves.run(now) {
             self.network.send(self.gateway, on_the_wire(&frame));
         }
+        while self.network.receive(self.witness).is_some() {}
         self.follow_bit_rate();
         self.check();
     }
@@ -180,16 +191,22 @@ impl Rig {
     }
 
     fn follow_bit_rate(&mut self) {
+        let own = self.network.board(0).chip().can(1).bit_rate();
         let mut rates = BTreeMap::new();
         for slave in self.slaves.slaves.iter().filter(|slave| slave.is_powered) {
-            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 1;
+            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 2;
+        }
+        for (rate, count) in &mut rates {
+            *count += i32::from(bit_per_s(*rate) == own);
         }
         let most = rates.into_iter().max_by_key(|(_, count)| *count);
         if let Some((rate, _)) = most
             && rate != self.slaves.rate
         {
             self.slaves.open(rate, true);
-            self.network.adapter_mut(self.gateway).set_bit_rate(bit_per_s(rate));
+            for adapter in [self.gateway, self.witness] {
+                self.network.adapter_mut(adapter).set_bit_rate(bit_per_s(rate));
+            }
         }
     }
 
@@ -215,6 +232,7 @@ impl Rig {
     pub fn settle(&mut self) -> State {
         let until = self.network.now() + LONGEST;
         loop {
+            assert!(self.network.now() < until, "it comes to no end");
             self.run_for(Time::from_ms(100));
             if !self.network.board(0).is_powered() {
                 return State::Asking;
@@ -229,7 +247,6 @@ impl Rig {
             if state != State::Asking {
                 return state;
             }
-            assert!(self.network.now() < until, "it comes to no end");
         }
     }
 
