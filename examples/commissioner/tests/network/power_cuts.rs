@@ -141,7 +141,8 @@ fn power_cuts_of_the_commissioner_in_a_switch_leave_all_at_one_bit_rate() {
         switch,
         cut,
         |rig| {
-            // It looks for the boards at other rates.
+            // The cut is longer than the switch. Afterwards it looks for the boards at other rates.
+            rig.run_for(Time::from_s(1));
             rig.restart();
             expect_together(rig);
         },

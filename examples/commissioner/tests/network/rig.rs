@@ -237,23 +237,33 @@ impl Rig {
             if !self.network.board(0).is_powered() {
                 return State::Asking;
             }
-            // A switch of the bit rate wants silence, and a search has no answer.
-            let own = self.network.board(0).chip().can(1).bit_rate();
-            let is_switching = self.network.now() < self.requested_at + Time::from_ms(600);
-            if is_switching || own != bit_per_s(self.slaves.rate) {
+            // A switch of the bit rate wants silence.
+            if self.network.now() < self.requested_at + Time::from_ms(600) {
                 continue;
             }
-            let state = self.state();
-            if state != State::Asking {
+            if let Some(state) = self.ask_state()
+                && state != State::Asking
+            {
                 return state;
             }
         }
     }
 
     pub fn state(&mut self) -> State {
+        self.ask_state().expect("an answer")
+    }
+
+    /// The state, unless the commissioner is silent, such as while it looks for the others at another rate.
+    fn ask_state(&mut self) -> Option<State> {
         use State::*;
+        self.confirm([0x40, 0x00, 0x21, 1, 0, 0, 0, 0]);
+        let until = self.network.now() + Time::from_ms(200);
+        while self.answers.is_empty() && self.network.now() < until {
+            self.step(until);
+        }
+        let answer = self.answers.pop_front()?;
         let states = [Complete, Asking, Missing, New, Conflict, NotStored, Rival, TakenBack];
-        states[self.number(0x2100, 1) as usize]
+        Some(states[usize::from(answer[4])])
     }
 
     /// How many of the 16 steps of a commissioner's LED are lit, and how often it changes in them.
