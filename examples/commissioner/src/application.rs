@@ -14,7 +14,7 @@ use canopen_node::{
 pub type Node = canopen_node::Node<Application>;
 
 /// The boards of the table: those with the node-IDs 1 to 32.
-pub const BOARDS: u8 = 32;
+pub const BOARDS: usize = 32;
 /// The bytes of a row of the table: vendor-ID, product code, revision number and serial number, each from its lowest
 /// byte on.
 const ROW: usize = 16;
@@ -23,8 +23,8 @@ objects! {
     /// The objects of the commissioner, with their values.
     pub struct Application, values Value;
 
-    /// The answers to LSS requests that the master has not taken, and when they came.
-    private answers: [Option<(Frame, Instant)>; 8] = [None; 8];
+    /// The answer to an LSS request that the master has not taken, and when it came.
+    private answer: Option<(Frame, Instant)> = None;
     /// The nodes that were heard since the last call of [`listen`](Application::listen), a bit for each.
     private heard: u128 = 0;
     /// Whether another LSS master was heard since then.
@@ -58,38 +58,24 @@ pub enum State {
     New,
     /// A board cannot have its node-ID: another node has it, it could replace several boards, or the table is full.
     Conflict,
-    /// The flash of the commissioner or of a board could not store, or a board has gone meanwhile.
+    /// The commissioner could not store its table, or a board could not store the bit rate.
     NotStored,
     /// Another LSS master is at work: the commissioner waits until it is silent.
     Rival,
-    /// A board is missing at the new bit rate or before, so all have the old one.
+    /// A board has not come to the new bit rate, or the commissioner could not store it: all have the old one.
     TakenBack,
 }
 
-impl State {
-    /// The pattern of the LED, a bit for each of 16 steps of 50 ms.
-    pub const fn pattern(state: u8) -> u16 {
-        match state {
-            0 => 0xFFFF,     // on
-            1 => 0x3333,     // flickers
-            2 => 0x0001,     // one flash
-            3 => 0x00FF,     // blinks
-            4..=5 => 0x0005, // two flashes
-            _ => 0x0015,     // three flashes
-        }
-    }
-}
+/// The pattern of the LED in each state, a bit for each of 16 steps of 50 ms: on, flickering, one flash, blinking, and two
+/// or three flashes.
+pub const PATTERNS: [u16; 8] = [0xFFFF, 0x3333, 0x0001, 0x00FF, 0x0005, 0x0005, 0x0015, 0x0015];
 
 impl canopen_node::Application for Application {
     const IS_MASTER: bool = true;
 
     fn hear(&mut self, frame: &Frame, now: Instant) {
         match frame.cob_id() {
-            lss::RESPONSE_COB_ID => {
-                if let Some(place) = self.answers.iter_mut().find(|place| place.is_none()) {
-                    *place = Some((*frame, now));
-                }
-            }
+            lss::RESPONSE_COB_ID => self.answer = Some((*frame, now)),
             lss::REQUEST_COB_ID => self.has_rival = true,
             // Emergency, TPDO 1, SDO answer, heartbeat or boot-up.
             cob_id @ (0x081..=0x0FF | 0x181..=0x1FF | 0x581..=0x5FF | 0x701..=0x77F) => {
@@ -116,10 +102,9 @@ impl canopen_node::Application for Application {
 }
 
 /// The LSS address in a row, if there is one.
-fn address(row: &[u8]) -> Option<Address> {
-    let mut parts = row.chunks_exact(4).map(|part| part.try_into().map_or(0, u32::from_le_bytes));
-    let parts = array::from_fn(|_| parts.next().unwrap_or(0));
-    (parts != [0; 4]).then(|| parts.into())
+fn address(row: &[u8; ROW]) -> Option<Address> {
+    let (parts, _) = row.as_chunks();
+    (*row != [0; ROW]).then(|| array::from_fn(|part| u32::from_le_bytes(parts[part])).into())
 }
 
 /// The bit rate of so many kbit/s.
@@ -129,15 +114,13 @@ fn bit_rate(kbit_per_s: u16) -> Option<BitRate> {
 
 impl Application {
     /// Whether an answer to an LSS request waits.
-    pub fn has_answer(&self) -> bool {
-        self.answers.iter().any(Option::is_some)
+    pub const fn has_answer(&self) -> bool {
+        self.answer.is_some()
     }
 
-    /// The next answer to an LSS request, and when it came.
-    pub fn take_answer(&mut self) -> Option<(Frame, Instant)> {
-        self.answers.rotate_left(1);
-        let [.., first] = &mut self.answers;
-        first.take()
+    /// The answer to an LSS request, and when it came.
+    pub const fn take_answer(&mut self) -> Option<(Frame, Instant)> {
+        self.answer.take()
     }
 
     /// Forgets what was heard.
@@ -167,8 +150,9 @@ impl Application {
 
     /// The rows of the table: each node-ID with the LSS address of its board.
     pub fn rows(&self) -> impl Iterator<Item = (NodeId, Option<Address>)> {
-        let rows = self.table.as_bytes().chunks_exact(ROW).map(address).chain(iter::repeat(None));
-        (1..=BOARDS).filter_map(NodeId::new).zip(rows)
+        let (rows, _) = self.table.as_bytes().as_chunks();
+        let rows = rows.iter().map(address).chain(iter::repeat(None));
+        (1..=BOARDS as u8).filter_map(NodeId::new).zip(rows)
     }
 
     /// The boards of the table, each with its node-ID.
@@ -178,15 +162,12 @@ impl Application {
 
     /// Writes the row of this node-ID.
     pub fn set_row(&mut self, node: NodeId, address: Address) {
-        let mut bytes = [0; ROW * BOARDS as usize];
+        let mut bytes = [0; ROW * BOARDS];
         let before = self.table.as_bytes();
         bytes[..before.len()].copy_from_slice(before);
         let end = ROW * usize::from(node.get());
-        for (place, part) in
-            bytes[end - ROW..end].chunks_exact_mut(4).zip(<[u32; 4]>::from(address))
-        {
-            place.copy_from_slice(&part.to_le_bytes());
-        }
+        let (parts, _) = bytes[end - ROW..end].as_chunks_mut();
+        parts.copy_from_slice(&<[u32; 4]>::from(address).map(u32::to_le_bytes));
         let table = OctetString::from_bytes(&bytes[..end.max(before.len())]);
         self.table = table.unwrap_or(self.table);
     }

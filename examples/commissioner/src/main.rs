@@ -15,7 +15,7 @@ use panic_probe as _;
 mod app {
     use canopen_stm32f4::{Board, Crystal, Indicators, Led, Storage, Watchdog, board};
     use example_commissioner::{
-        application::{Application, Node, State},
+        application::{Application, Node, PATTERNS},
         device::{self, DEVICE},
     };
     use stm32f4xx_hal::{
@@ -120,7 +120,8 @@ mod app {
         let _ = cx.local.tick.wait();
         *cx.local.count = cx.local.count.wrapping_add(1);
         let state = cx.shared.runner.lock(|runner| runner.node().application().state);
-        cx.local.led.light(State::pattern(state) >> (*cx.local.count / 50 % 16) & 1 == 1);
+        let step = *cx.local.count / 50 % 16;
+        cx.local.led.light(PATTERNS[usize::from(state)] >> step & 1 == 1);
     }
 
     /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
