@@ -10,6 +10,8 @@ use emulator::{Time, can::Adapter};
 use example_commissioner::application::State;
 use rig::{Rig, address, blank, commissioner, new_board, silent};
 use testkit::{
+    image::Firmware,
+    image_rig::{BOOT, blank_board},
     sdo::Client,
     slave_bus::{Habits, Happening},
 };
@@ -54,6 +56,29 @@ fn twenty_blank_boards_get_a_node_id_each_while_the_button_is_held() {
         assert_eq!(table[usize::from(node.expect("a node-ID")) - 1], Some(address(1, number)));
     }
     assert_eq!(rig.number(0x2100, 2), (1 << 20) - 1);
+}
+
+#[test]
+fn boards_with_the_release_image_are_commissioned_and_switched() {
+    let mut rig = Rig::new([]);
+    for number in 1..=3 {
+        rig.network.add_board(blank_board(Firmware::Default, number));
+    }
+    // They format their flash.
+    rig.run_for(BOOT);
+    assert_eq!(rig.restart(), State::New);
+    assert_eq!([(); 3].map(|()| rig.press()), [State::New, State::New, State::Complete]);
+    assert_eq!(rig.switch(500), State::Complete);
+    for board in 0..4 {
+        rig.network.power_off(board);
+    }
+    rig.run_for(Time::from_ms(10));
+    for board in 0..4 {
+        rig.network.power_on(board);
+    }
+    rig.run_for(Time::from_ms(50));
+    assert_eq!((rig.settle(), rig.slaves.rate), (State::Complete, BitRate::Kbit500));
+    assert_eq!(rig.number(0x2100, 2), 0b111);
 }
 
 #[test]

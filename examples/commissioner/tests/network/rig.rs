@@ -191,13 +191,14 @@ impl Rig {
     }
 
     fn follow_bit_rate(&mut self) {
-        let own = self.network.board(0).chip().can(1).bit_rate();
         let mut rates = BTreeMap::new();
         for slave in self.slaves.slaves.iter().filter(|slave| slave.is_powered) {
             *rates.entry(slave.rig.bit_rate()).or_insert(0) += 2;
         }
-        for (rate, count) in &mut rates {
-            *count += i32::from(bit_per_s(*rate) == own);
+        // The commissioner decides if as many are at one rate as at another.
+        let own = self.network.board(0).chip().can(1).bit_rate();
+        if let Some(own) = BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own) {
+            *rates.entry(own).or_insert(0) += 1;
         }
         let most = rates.into_iter().max_by_key(|(_, count)| *count);
         if let Some((rate, _)) = most
