@@ -90,11 +90,11 @@ impl<R: Mutex<T = Runner>> Network<R> {
     pub fn commission(mut self) -> ! {
         let mut takes = false;
         loop {
-            self.set_state(State::Asking);
+            self.change(|network| network.state = State::Asking as u8);
             self.change(Application::listen);
             self.heeds_rivals = true;
             let outcome = self.round(takes);
-            self.set_state(outcome.unwrap_or(State::Rival));
+            self.change(|network| network.state = outcome.unwrap_or(State::Rival) as u8);
             if outcome.is_err() {
                 // Another commissioner waits for another time.
                 let more = (now().as_micros() ^ self.serial_number) & 0xF_FFFF;
@@ -187,10 +187,8 @@ impl<R: Mutex<T = Runner>> Network<R> {
 
     /// The active node-ID of a board; `None` if it is not there. All are in LSS waiting state afterwards.
     fn ask_node_id(&mut self, board: Address) -> Outcome<Option<Option<NodeId>>> {
-        let node = match self.run(SelectAlone::new(board))? {
-            Ok(()) => self.run(InquireNodeId)?.ok(),
-            Err(_) => None,
-        };
+        let is_there = self.run(SelectAlone::new(board))?.is_ok();
+        let node = if is_there { self.run(InquireNodeId)?.ok() } else { None };
         let _ = self.run(Request::SwitchToWaiting)?;
         Ok(node)
     }
@@ -288,9 +286,7 @@ impl<R: Mutex<T = Runner>> Network<R> {
     /// Switches all together; returns whether all have come.
     fn switch(&mut self, members: &mut [Member], from: BitRate, to: BitRate) -> Outcome<bool> {
         self.next_rate = Some(to);
-        let outcome = self.run(SwitchBitRate::new(members, from, to, DELAY_MS))?;
-        self.next_rate = None;
-        Ok(outcome.is_ok())
+        Ok(self.run(SwitchBitRate::new(members, from, to, DELAY_MS))?.is_ok())
     }
 
     /// Lets a board store this bit rate, and no node-ID: that is in the table.
@@ -338,10 +334,6 @@ impl<R: Mutex<T = Runner>> Network<R> {
 
     fn bit_rate(&mut self) -> BitRate {
         self.runner.lock(|runner| runner.node().bit_rate())
-    }
-
-    fn set_state(&mut self, state: State) {
-        self.change(|network| network.state = state as u8);
     }
 
     fn read<T>(&mut self, access: impl FnOnce(&Application) -> T) -> T {
