@@ -47,6 +47,7 @@ pub mod watchdog;
 #[cfg(target_os = "none")]
 pub use crate::{
     board::Board,
+    clock::now,
     crystal::Crystal,
     led::{Indicators, Led},
     runner::{Runner, Storage},

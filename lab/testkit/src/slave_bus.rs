@@ -147,26 +147,38 @@ impl<A: Application + Clone> SlaveBus<A> {
         self.enqueue(at, Source::OtherMaster, frame);
     }
 
+    /// The time at which something happens next, in microseconds since the beginning; `u64::MAX`: nothing does.
+    pub fn next_at(&self) -> u64 {
+        let due = self.next_slave().map_or(NEVER, |(at, _)| at);
+        let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
+        self.next_delivery().min(self.next_happening()).min(due).min(flight)
+    }
+
+    fn next_delivery(&self) -> u64 {
+        self.received.front().map_or(NEVER, |(at, _)| *at)
+    }
+
+    fn next_happening(&self) -> u64 {
+        self.happenings.keys().next().map_or(NEVER, |(at, _)| *at)
+    }
+
     /// Lets time pass; returns a frame that the tool receives, with the time of its end.
     pub fn run(&mut self, until: u64) -> Option<(u64, Frame)> {
         loop {
-            let delivered = self.received.front().map_or(NEVER, |(at, _)| *at);
-            let due = self.next_slave().map_or(NEVER, |(at, _)| at);
-            let happening = self.happenings.keys().next().map_or(NEVER, |(at, _)| *at);
-            let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
-            let next = [delivered, due, happening, flight].into_iter().min().unwrap_or(NEVER);
+            let next = self.next_at();
             if next > until {
                 self.now = self.now.max(until);
                 return None;
             }
             self.now = self.now.max(next);
-            if next == delivered {
+            if self.next_delivery() == next {
                 return self.received.pop_front();
-            } else if next == happening {
+            } else if self.next_happening() == next {
                 let (_, (slave, happening)) = self.happenings.pop_first()?;
                 self.happen(slave, happening);
-            } else if next == due {
-                let (_, number) = self.next_slave()?;
+            } else if let Some((due, number)) = self.next_slave()
+                && due == next
+            {
                 self.wake(number);
             } else if let Some(flight) = self.flight.take() {
                 self.land(flight);
