@@ -258,24 +258,22 @@ impl<A: Application> Node<A> {
             && !self.node_id().is_some_and(is_service)
     }
 
-    /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
-    /// returns all other actions.
+    /// Handles a received frame and returns the answer to a request of LSS or SDO, if there is one at once.
+    /// [`poll`](Self::poll) returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
-        if !bit_rate.is_settled() {
+        let action = self.slave.handle_frame(frame, now);
+        // The frame may have begun a switch.
+        if !self.slave.bit_rate().is_settled() {
             self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
-        match self.slave.handle_frame(frame, now) {
+        match action {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
             None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
-                self.handle_other(frame, now)
-            }
-            // A request of LSS may have begun a switch.
-            None if !self.slave.bit_rate().is_settled() => {
-                self.agenda.add(Tasks::of(&[Task::BitRate]))
+                return self.handle_other(frame, now);
             }
             None => {}
         }
@@ -298,23 +296,21 @@ impl<A: Application> Node<A> {
         }
     }
 
-    fn handle_other(&mut self, frame: &Frame, now: Instant) {
+    #[inline(never)] // Inlined, it slows the answers of LSS.
+    fn handle_other(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         let cob_id = frame.cob_id();
+        if Some(cob_id) == self.sdo_request_cob_id() {
+            return self.handle_sdo(Message::from_bytes(*frame.eight_bytes()?), now);
+        }
         if cob_id == nmt::COMMAND_COB_ID {
             if let Some(command) = Command::from_frame(frame, self.node_id()) {
                 self.nmt.handle(command);
                 self.agenda.add(Tasks::of(&[Task::Command]));
             }
-        } else if Some(cob_id) == self.sdo_request_cob_id() {
-            if let Some(request) = frame.eight_bytes() {
-                // A boot-up may precede the answer.
-                self.slave.note_asked();
-                self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
-                self.agenda.add(Tasks::of(&[Task::Sdo]));
-            }
         } else {
             self.handle_process_data(frame, now);
         }
+        None
     }
 
     /// Queues an emergency message about a fault of the board, such as [`Fault::SettingsLost`].
@@ -629,6 +625,10 @@ impl Tasks {
     const fn has(self, task: Task) -> bool {
         self.0 & task.bit() != 0
     }
+
+    const fn add(&mut self, others: Self) {
+        self.0 |= others.0;
+    }
 }
 
 impl Task {
@@ -727,6 +727,15 @@ impl Agenda {
     /// The first task that is due.
     pub fn first(&self) -> Option<Task> {
         Task::EACH.get(self.due.0.trailing_zeros() as usize).copied()
+    }
+
+    /// Sets the deadline of one of [`Task::TIMED`].
+    pub fn set_deadline(&mut self, task: Task, deadline: Option<Instant>) {
+        let mut places = Task::TIMED.into_iter().zip(&mut self.deadlines);
+        if let Some((_, place)) = places.find(|(timed, _)| *timed == task) {
+            *place = deadline;
+        }
+        self.find_next();
     }
 
     /// Finds the deadlines that may have changed, by `deadline`.

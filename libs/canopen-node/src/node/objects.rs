@@ -33,6 +33,25 @@ impl<A: Application> Node<A> {
         self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
     }
 
+    /// Accepts a request to the SDO server; returns the answer, unless anything is due before it.
+    pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Action> {
+        // A boot-up may precede the answer.
+        self.slave.note_asked();
+        self.sdo.handle(request, self.serves_sdo());
+        if self.is_due(now) {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+            return None;
+        }
+        let had_transfer = self.sdo.has_transfer();
+        let answer = self.answer_sdo(now);
+        if self.sdo.is_sending_block() {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+        } else if had_transfer || self.sdo.has_transfer() {
+            self.agenda.set_deadline(Task::Sdo, self.sdo.poll_at::<NodeObjects<'_, A>>());
+        }
+        answer
+    }
+
     pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
         if !self.serves_sdo() {
             self.end_sdo_transfer();
@@ -50,11 +69,14 @@ impl<A: Application> Node<A> {
             communication: &mut self.product.communication,
             application: &mut self.product.application,
             now,
+            effects: Tasks::NONE,
         };
         let answer = self.sdo.poll(&mut objects, now);
-        // A write may concern any of them.
-        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
-        self.note_values();
+        let effects = objects.effects;
+        self.agenda.add(effects);
+        if effects.has(Task::Pdos) {
+            self.note_values();
+        }
         self.transmit_by_sdo(answer?)
     }
 
@@ -89,6 +111,8 @@ pub(super) struct NodeObjects<'a, A: Application> {
     pub communication: &'a mut Communication<A::Numbers>,
     pub application: &'a mut A,
     pub now: Instant,
+    /// The tasks that the accesses have made due.
+    pub effects: Tasks,
 }
 
 impl<A: Application> Objects for NodeObjects<'_, A> {
@@ -110,6 +134,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             Object::Application(field) => {
                 if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
+                    self.effects.add(Self::VALUES);
                 }
                 return Ok(Content::OfApplication(field));
             }
@@ -166,6 +191,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         bytes: &[u8],
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
+        self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
@@ -239,19 +265,38 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        self.effects.add(Self::VALUES);
         self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.effects.add(Self::VALUES);
         self.application.end_domain(entry.index, entry.sub_index, len)
     }
 
     fn abort_domain(&mut self, entry: &Entry) {
+        self.effects.add(Self::VALUES);
         self.application.abort_domain(entry.index, entry.sub_index);
     }
 }
 
+/// The tasks that a write of this object may make due.
+const fn tasks_of(object: Object) -> Tasks {
+    match object {
+        Object::Application(_) => Tasks::of(&[Task::Pdos]),
+        Object::StoreParameters | Object::RestoreDefaultParameters => Tasks::of(&[Task::Store]),
+        Object::CobIdEmergency | Object::InhibitTimeEmergency | Object::ProducerHeartbeatTime => {
+            Tasks::of(&[Task::Messages])
+        }
+        // Process data, SYNC and the heartbeat consumer.
+        _ => Tasks::of(&[Task::Producers, Task::Pdos]),
+    }
+}
+
 impl<A: Application> NodeObjects<'_, A> {
+    /// The task for values of the application that may have changed.
+    const VALUES: Tasks = tasks_of(Object::Application(0));
+
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {

@@ -106,6 +106,11 @@ impl<B: Buffer> Server<B> {
         self.transfer.as_ref()?.domain()
     }
 
+    /// Whether there is a transfer of several messages.
+    pub const fn has_transfer(&self) -> bool {
+        self.transfer.is_some()
+    }
+
     /// Whether a block of an upload has further segments.
     pub const fn is_sending_block(&self) -> bool {
         matches!(&self.transfer, Some(Transfer::BlockUpload(upload)) if upload.is_sending())
