@@ -42,12 +42,9 @@ impl<A: Application> Node<A> {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
             return None;
         }
-        let had_transfer = self.sdo.has_transfer();
         let answer = self.answer_sdo(now);
-        if self.sdo.is_sending_block() {
+        if self.sdo.has_transfer() {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
-        } else if had_transfer || self.sdo.has_transfer() {
-            self.agenda.set_deadline(Task::Sdo, self.sdo.poll_at::<NodeObjects<'_, A>>());
         }
         answer
     }
