@@ -3,7 +3,7 @@
 
 use core::cmp::Ordering;
 
-use lss_slave::{Slave, bytes::copy};
+use lss_slave::Slave;
 
 use super::{
     Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
@@ -42,7 +42,7 @@ impl<A: Application> Node<A> {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
             return None;
         }
-        let answer = self.answer_sdo(now);
+        let answer = self.serve_sdo(now);
         if self.sdo.has_transfer() {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
         }
@@ -54,6 +54,11 @@ impl<A: Application> Node<A> {
             self.end_sdo_transfer();
             self.sdo.reset();
         }
+        self.serve_sdo(now)
+    }
+
+    /// The next answer to the client, unless the boot-up precedes it.
+    fn serve_sdo(&mut self, now: Instant) -> Option<Action> {
         if self.nmt.is_boot_up_due() {
             return None;
         }
@@ -203,9 +208,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             Ordering::Less => return Err(Abort::TooShort),
             Ordering::Equal => {}
         }
-        let mut number = [0; 4];
-        copy(bytes, 0, &mut number);
-        match (entry.object, u32::from_le_bytes(number)) {
+        let number = bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
+        match (entry.object, number) {
             (Object::StoreParameters, SAVE) | (Object::RestoreDefaultParameters, LOAD) => {
                 self.request_store(entry, confirmation)
             }
@@ -233,9 +237,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Ok(Some(confirmation))
             }
             (object, value) => {
-                let before = self.read(entry);
+                let before = self.number(entry);
                 self.write_number(object, value)?;
-                if object != Object::NumberOfErrors && self.read(entry) != before {
+                if object != Object::NumberOfErrors && self.number(entry) != before {
                     self.storing.verification.clear();
                 }
                 Ok(Some(confirmation))
@@ -301,6 +305,14 @@ impl<A: Application> NodeObjects<'_, A> {
             self.application.read(field, at, &mut now) == 0 || now != [*byte]
         };
         self.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
+    }
+
+    /// The value of an object, if it is a number.
+    fn number(&mut self, entry: &Entry) -> Option<u32> {
+        match self.read(entry) {
+            Ok(Content::Number(number)) => Some(number),
+            _ => None,
+        }
     }
 
     fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {

@@ -206,6 +206,9 @@ impl<B: Buffer> Server<B> {
         }
         let data = number.to_le_bytes();
         let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
+        if !entry.options.is_streamed() {
+            return objects.write(entry, bytes, confirmation);
+        }
         download
             .add(bytes, objects, self.buffer.as_mut())
             .and_then(|()| download.end(confirmation, objects, self.buffer.as_ref()))
