@@ -442,6 +442,11 @@ impl<A: Application> Node<A> {
                 return Some(action);
             }
         }
+        while let Some(task) = self.agenda.take_ended() {
+            if let Some(deadline) = self.deadline(task, now) {
+                self.agenda.set_deadline(task, deadline);
+            }
+        }
         self.agenda.find_next();
         None
     }
@@ -492,10 +497,7 @@ impl<A: Application> Node<A> {
             Task::Pdos => self.next_pdo(now),
         };
         match action {
-            None => {
-                let deadline = self.deadline(task, now);
-                self.agenda.end(task, deadline);
-            }
+            None => self.agenda.end(task),
             Some(Action::Transmit(_)) => self.slave.note_sent(now),
             Some(_) => {}
         }

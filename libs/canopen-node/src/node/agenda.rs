@@ -92,6 +92,8 @@ pub(super) struct Agenda {
     due: Tasks,
     /// The tasks that must not be done now.
     held: Tasks,
+    /// The tasks that have ended, and whose deadline is not known yet.
+    ended: Tasks,
     /// The tasks that have a deadline.
     timed: Tasks,
     /// The deadlines of those tasks, by task.
@@ -106,6 +108,7 @@ impl Agenda {
         Self {
             due: Tasks::ALL,
             held: Tasks::NONE,
+            ended: Tasks::NONE,
             timed: Tasks::NONE,
             deadlines: [Instant::from_micros(0); Task::EACH.len()],
             next: None,
@@ -118,14 +121,22 @@ impl Agenda {
     }
 
     /// Ends a task until it is added again, or its deadline comes.
-    pub fn end(&mut self, task: Task, deadline: Option<Instant>) {
+    pub const fn end(&mut self, task: Task) {
         let only = Tasks::of(&[task]);
         self.due.remove(only);
         self.timed.remove(only);
-        if let Some(deadline) = deadline
-            && !self.held.has(task)
-        {
-            self.timed.add(only);
+        self.ended.add(only);
+    }
+
+    /// The next task that has ended, and whose [deadline](Self::set_deadline) is not known yet.
+    pub fn take_ended(&mut self) -> Option<Task> {
+        self.ended.next()
+    }
+
+    /// Sets the deadline of a task, unless it is held.
+    pub fn set_deadline(&mut self, task: Task, deadline: Instant) {
+        if !self.held.has(task) {
+            self.timed.add(Tasks::of(&[task]));
             self.deadlines[task as usize] = deadline;
         }
     }

@@ -35,12 +35,17 @@ impl TransmitQueue {
 
     /// Drops the frames with these COB-IDs.
     pub fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
-        let mut rest = mem::replace(self, Self::new());
-        for frame in rest.pending() {
-            if !are_dropped(frame.cob_id()) {
-                self.push(*frame);
+        let mut kept = 0;
+        for at in 0..self.len {
+            if let Some(frame) = self.frames.get(at).copied()
+                && !are_dropped(frame.cob_id())
+                && let Some(place) = self.frames.get_mut(kept)
+            {
+                *place = frame;
+                kept = kept.wrapping_add(1);
             }
         }
+        self.len = kept;
     }
 
     /// Whether all waiting frames are less urgent than `frame`.
