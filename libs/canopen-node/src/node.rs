@@ -442,11 +442,6 @@ impl<A: Application> Node<A> {
                 return Some(action);
             }
         }
-        while let Some(task) = self.agenda.take_ended() {
-            if let Some(deadline) = self.deadline(task, now) {
-                self.agenda.set_deadline(task, deadline);
-            }
-        }
         self.agenda.find_next();
         None
     }
@@ -497,7 +492,10 @@ impl<A: Application> Node<A> {
             Task::Pdos => self.next_pdo(now),
         };
         match action {
-            None => self.agenda.end(task),
+            None => {
+                let deadline = self.deadline(task, now);
+                self.agenda.end(task, deadline);
+            }
             Some(Action::Transmit(_)) => self.slave.note_sent(now),
             Some(_) => {}
         }

@@ -92,8 +92,6 @@ pub(super) struct Agenda {
     due: Tasks,
     /// The tasks that must not be done now.
     held: Tasks,
-    /// The tasks that have ended, and whose deadline is not known yet.
-    ended: Tasks,
     /// The tasks that have a deadline.
     timed: Tasks,
     /// The deadlines of those tasks, by task.
@@ -108,7 +106,6 @@ impl Agenda {
         Self {
             due: Tasks::ALL,
             held: Tasks::NONE,
-            ended: Tasks::NONE,
             timed: Tasks::NONE,
             deadlines: [Instant::from_micros(0); Task::EACH.len()],
             next: None,
@@ -121,22 +118,14 @@ impl Agenda {
     }
 
     /// Ends a task until it is added again, or its deadline comes.
-    pub const fn end(&mut self, task: Task) {
+    pub fn end(&mut self, task: Task, deadline: Option<Instant>) {
         let only = Tasks::of(&[task]);
         self.due.remove(only);
         self.timed.remove(only);
-        self.ended.add(only);
-    }
-
-    /// The next task that has ended, and whose [deadline](Self::set_deadline) is not known yet.
-    pub fn take_ended(&mut self) -> Option<Task> {
-        self.ended.next()
-    }
-
-    /// Sets the deadline of a task, unless it is held.
-    pub fn set_deadline(&mut self, task: Task, deadline: Instant) {
-        if !self.held.has(task) {
-            self.timed.add(Tasks::of(&[task]));
+        if let Some(deadline) = deadline
+            && !self.held.has(task)
+        {
+            self.timed.add(only);
             self.deadlines[task as usize] = deadline;
         }
     }
