@@ -275,7 +275,7 @@ impl<A: Application> Node<A> {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
             None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
-                return self.handle_other(frame, now);
+                return self.handle_other(frame, now).map(Action::Transmit);
             }
             None => {}
         }
@@ -299,7 +299,7 @@ impl<A: Application> Node<A> {
     }
 
     #[inline(never)] // Inlined, it slows the answers of LSS.
-    fn handle_other(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
+    fn handle_other(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         let cob_id = frame.cob_id();
         if Some(cob_id) == self.sdo_request_cob_id() {
             return self.handle_sdo(Message::from_bytes(*frame.eight_bytes()?), now);
@@ -486,7 +486,7 @@ impl<A: Application> Node<A> {
                 self.watch_producers(now);
                 None
             }
-            Task::Sdo => self.answer_sdo(now),
+            Task::Sdo => self.answer_sdo(now).map(Action::Transmit),
             Task::Store => self.answer_or_store(),
             Task::Messages => self.next_message(now),
             Task::Pdos => self.next_pdo(now),
@@ -569,12 +569,10 @@ impl<A: Application> Node<A> {
                 }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {
-                    return self.transmit_by_sdo(match outcome {
-                        Ok(()) => download.confirmation,
-                        Err(error) => {
-                            Message::store_failed(download.index, download.sub_index, error)
-                        }
-                    });
+                    let Download { index, sub_index, confirmation } = download;
+                    let failed = |error| Message::store_failed(index, sub_index, error);
+                    let answer = outcome.map_or_else(failed, |()| confirmation);
+                    return self.sdo_frame(answer).map(Action::Transmit);
                 }
                 Requester::Sdo(_) | Requester::Nobody(_) => {}
             }

@@ -6,8 +6,7 @@ use core::cmp::Ordering;
 use lss_slave::Slave;
 
 use super::{
-    Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    settings_object,
+    Node, Storing, Task, Tasks, areas::Download, communication::Communication, settings_object,
 };
 use crate::{
     Device, Frame, Instant,
@@ -34,7 +33,7 @@ impl<A: Application> Node<A> {
     }
 
     /// Accepts a request to the SDO server; returns the answer, unless anything is due before it.
-    pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Action> {
+    pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Frame> {
         // A boot-up may precede the answer.
         self.slave.note_asked();
         self.sdo.handle(request, self.serves_sdo());
@@ -49,7 +48,7 @@ impl<A: Application> Node<A> {
         answer
     }
 
-    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Frame> {
         if !self.serves_sdo() {
             self.end_sdo_transfer();
             self.sdo.reset();
@@ -58,7 +57,7 @@ impl<A: Application> Node<A> {
     }
 
     /// The next answer to the client, unless the boot-up precedes it.
-    fn serve_sdo(&mut self, now: Instant) -> Option<Action> {
+    fn serve_sdo(&mut self, now: Instant) -> Option<Frame> {
         if self.nmt.is_boot_up_due() {
             return None;
         }
@@ -79,12 +78,13 @@ impl<A: Application> Node<A> {
         if effects.has(Task::Pdos) {
             self.note_values();
         }
-        self.transmit_by_sdo(answer?)
+        self.sdo_frame(answer?)
     }
 
-    pub(super) fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
+    /// The frame of an answer to the SDO client.
+    pub(super) fn sdo_frame(&self, answer: Message) -> Option<Frame> {
         let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
+        Some(Frame::with_eight_bytes(cob_id, answer.to_bytes()))
     }
 
     /// Discards pending SDO requests and transfers.
