@@ -266,16 +266,18 @@ impl<A: Application> Node<A> {
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
-        let action = self.slave.handle_frame(frame, now);
-        // The frame may have begun a switch.
-        if !self.slave.bit_rate().is_settled() {
+        if !bit_rate.is_settled() {
             self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
-        match action {
+        match self.slave.handle_frame(frame, now) {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
             None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
                 return self.handle_other(frame, now).map(Action::Transmit);
+            }
+            // A request of LSS may have begun a switch.
+            None if !self.slave.bit_rate().is_settled() => {
+                self.agenda.add(Tasks::of(&[Task::BitRate]));
             }
             None => {}
         }
@@ -475,6 +477,10 @@ impl<A: Application> Node<A> {
     /// Performs a step of a task. Without an action the task is over.
     fn perform(&mut self, task: Task, now: Instant) -> Option<Action> {
         let action = match task {
+            // Until the next switch there is none.
+            Task::BitRate if self.slave.bit_rate().is_settled() && !self.agenda.is_holding() => {
+                None
+            }
             Task::BitRate => self.next_step(now),
             Task::State => {
                 // In NMT stopped there are neither SDO transfers nor emergency messages.

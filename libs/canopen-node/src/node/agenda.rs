@@ -137,6 +137,11 @@ impl Agenda {
         self.timed.remove(tasks);
     }
 
+    /// Whether any task must not be done now.
+    pub fn is_holding(&self) -> bool {
+        self.held != Tasks::NONE
+    }
+
     /// Whether anything is due at `now`.
     pub const fn is_due(&self, now: Instant) -> bool {
         self.due.0 != 0
