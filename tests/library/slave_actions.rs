@@ -107,7 +107,7 @@ impl Run {
 
     /// An input of any kind.
     fn step(&mut self, random: &mut Random, requests: &[Frame]) {
-        match random.within(0..8) {
+        match random.within(0..12) {
             0..3 => {
                 let frame = random.pick(requests);
                 match self.slave.handle_frame(&frame, self.now) {
@@ -122,7 +122,7 @@ impl Run {
                 }
                 self.poll(&format!("{frame:?}"));
             }
-            3 => {
+            3..6 => {
                 let event = random.pick(&EVENTS);
                 // A fault lasts for a while.
                 for _ in 0..random.within(1..20) {
@@ -130,9 +130,9 @@ impl Run {
                     self.poll(&format!("{event:?}"));
                 }
             }
-            4 => self.slave.note_asked(),
-            5 => self.slave.note_sent(self.now),
-            6 => self.now = self.now.plus_micros(random.within(0..5_000_000) as u32),
+            6 => self.slave.note_asked(),
+            7 => self.slave.note_sent(self.now),
+            8 => self.now = self.now.plus_micros(random.within(0..5_000_000) as u32),
             _ => self.now = self.slave.poll_at().unwrap_or(self.now),
         }
         self.poll("time or a note");
