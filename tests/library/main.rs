@@ -49,6 +49,7 @@ mod settings_faults;
 mod settings_log;
 mod settings_power_cut;
 mod settings_room;
+mod slave_actions;
 mod supervision;
 mod supervision_guest;
 mod supervision_random;

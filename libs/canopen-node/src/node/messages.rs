@@ -121,8 +121,9 @@ impl<A: Application> Node<A> {
         Some(Action::Transmit(heartbeat))
     }
 
-    /// Records a frame of a periodic service.
+    /// Records a frame of a periodic service, for which the others wait.
     pub(super) fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
         self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
+        self.agenda.add(Tasks::of(&[Task::Messages, Task::Pdos]));
     }
 }

@@ -3,11 +3,10 @@
 
 use core::cmp::Ordering;
 
-use lss_slave::{Slave, bytes::copy};
+use lss_slave::Slave;
 
 use super::{
-    Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    settings_object,
+    Node, Storing, Task, Tasks, areas::Download, communication::Communication, settings_object,
 };
 use crate::{
     Device, Frame, Instant,
@@ -33,11 +32,32 @@ impl<A: Application> Node<A> {
         self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
     }
 
-    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+    /// Accepts a request to the SDO server; returns the answer, unless anything is due before it.
+    pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Frame> {
+        // A boot-up may precede the answer.
+        self.slave.note_asked();
+        self.sdo.handle(request, self.serves_sdo());
+        if self.is_due(now) {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+            return None;
+        }
+        let answer = self.serve_sdo(now);
+        if self.sdo.has_transfer() {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+        }
+        answer
+    }
+
+    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Frame> {
         if !self.serves_sdo() {
             self.end_sdo_transfer();
             self.sdo.reset();
         }
+        self.serve_sdo(now)
+    }
+
+    /// The next answer to the client, unless the boot-up precedes it.
+    fn serve_sdo(&mut self, now: Instant) -> Option<Frame> {
         if self.nmt.is_boot_up_due() {
             return None;
         }
@@ -50,17 +70,21 @@ impl<A: Application> Node<A> {
             communication: &mut self.product.communication,
             application: &mut self.product.application,
             now,
+            effects: Tasks::NONE,
         };
         let answer = self.sdo.poll(&mut objects, now);
-        // A write may concern any of them.
-        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
-        self.note_values();
-        self.transmit_by_sdo(answer?)
+        let effects = objects.effects;
+        self.agenda.add(effects);
+        if effects.has(Task::Pdos) {
+            self.note_values();
+        }
+        self.sdo_frame(answer?)
     }
 
-    pub(super) fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
+    /// The frame of an answer to the SDO client.
+    pub(super) fn sdo_frame(&self, answer: Message) -> Option<Frame> {
         let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
+        Some(Frame::with_eight_bytes(cob_id, answer.to_bytes()))
     }
 
     /// Discards pending SDO requests and transfers.
@@ -89,6 +113,8 @@ pub(super) struct NodeObjects<'a, A: Application> {
     pub communication: &'a mut Communication<A::Numbers>,
     pub application: &'a mut A,
     pub now: Instant,
+    /// The tasks that the accesses have made due.
+    pub effects: Tasks,
 }
 
 impl<A: Application> Objects for NodeObjects<'_, A> {
@@ -110,6 +136,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             Object::Application(field) => {
                 if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
+                    self.effects.add(Self::VALUES);
                 }
                 return Ok(Content::OfApplication(field));
             }
@@ -166,6 +193,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         bytes: &[u8],
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
+        self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
@@ -180,9 +208,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             Ordering::Less => return Err(Abort::TooShort),
             Ordering::Equal => {}
         }
-        let mut number = [0; 4];
-        copy(bytes, 0, &mut number);
-        match (entry.object, u32::from_le_bytes(number)) {
+        let number = bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
+        match (entry.object, number) {
             (Object::StoreParameters, SAVE) | (Object::RestoreDefaultParameters, LOAD) => {
                 self.request_store(entry, confirmation)
             }
@@ -210,9 +237,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Ok(Some(confirmation))
             }
             (object, value) => {
-                let before = self.read(entry);
+                let before = self.number(entry);
                 self.write_number(object, value)?;
-                if object != Object::NumberOfErrors && self.read(entry) != before {
+                if object != Object::NumberOfErrors && self.number(entry) != before {
                     self.storing.verification.clear();
                 }
                 Ok(Some(confirmation))
@@ -239,19 +266,38 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        self.effects.add(Self::VALUES);
         self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.effects.add(Self::VALUES);
         self.application.end_domain(entry.index, entry.sub_index, len)
     }
 
     fn abort_domain(&mut self, entry: &Entry) {
+        self.effects.add(Self::VALUES);
         self.application.abort_domain(entry.index, entry.sub_index);
     }
 }
 
+/// The tasks that a write of this object may make due.
+const fn tasks_of(object: Object) -> Tasks {
+    match object {
+        Object::Application(_) => Tasks::of(&[Task::Pdos]),
+        Object::StoreParameters | Object::RestoreDefaultParameters => Tasks::of(&[Task::Store]),
+        Object::CobIdEmergency | Object::InhibitTimeEmergency | Object::ProducerHeartbeatTime => {
+            Tasks::of(&[Task::Messages])
+        }
+        // Process data, SYNC and the heartbeat consumer.
+        _ => Tasks::of(&[Task::Producers, Task::Pdos]),
+    }
+}
+
 impl<A: Application> NodeObjects<'_, A> {
+    /// The task for values of the application that may have changed.
+    const VALUES: Tasks = tasks_of(Object::Application(0));
+
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {
@@ -259,6 +305,14 @@ impl<A: Application> NodeObjects<'_, A> {
             self.application.read(field, at, &mut now) == 0 || now != [*byte]
         };
         self.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
+    }
+
+    /// The value of an object, if it is a number.
+    fn number(&mut self, entry: &Entry) -> Option<u32> {
+        match self.read(entry) {
+            Ok(Content::Number(number)) => Some(number),
+            _ => None,
+        }
     }
 
     fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {

@@ -58,8 +58,8 @@ impl<A: Application> Node<A> {
             product.communication.pdos.note_values();
             agenda.add(Tasks::of(&[Task::Pdos]));
         }
-        product.communication.end_errors(emergency);
         if emergency.has_process_data_errors() {
+            product.communication.end_errors(emergency);
             agenda.add(Tasks::of(&[Task::Messages]));
         }
         if is_any_lost {

@@ -106,6 +106,11 @@ impl<B: Buffer> Server<B> {
         self.transfer.as_ref()?.domain()
     }
 
+    /// Whether there is a transfer of several messages.
+    pub const fn has_transfer(&self) -> bool {
+        self.transfer.is_some()
+    }
+
     /// Whether a block of an upload has further segments.
     pub const fn is_sending_block(&self) -> bool {
         matches!(&self.transfer, Some(Transfer::BlockUpload(upload)) if upload.is_sending())
@@ -201,6 +206,9 @@ impl<B: Buffer> Server<B> {
         }
         let data = number.to_le_bytes();
         let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
+        if !entry.options.is_streamed() {
+            return objects.write(entry, bytes, confirmation);
+        }
         download
             .add(bytes, objects, self.buffer.as_mut())
             .and_then(|()| download.end(confirmation, objects, self.buffer.as_ref()))
