@@ -1,8 +1,7 @@
-//! The node on its board: what each interrupt calls, and the stores.
+//! The node on its board, and the stores.
 
 use canopen_node::{
-    Application, BitRate, Frame, Instant, Node, Settings,
-    indicator::Lit,
+    Application, Instant,
     lss::StoreError,
     runner::{self, System},
     settings::Log,
@@ -13,21 +12,15 @@ use rtic_core::Mutex;
 use crate::{
     can::{Controller, Peripheral},
     clock::{self, Alarm},
-    flash::{self, SettingsFlash},
-    watchdog::{self, Task},
+    flash::SettingsFlash,
+    task::Task,
+    watchdog,
 };
 
-/// The node, its controller, and their next deadline.
-pub struct Runner<C: Peripheral, A: Application> {
-    runner: runner::Runner<Controller<C>, Board, A>,
-}
+/// The node, its controller, and their next deadline. Each interrupt calls one of its `handle_` functions.
+pub type Runner<C, A> = runner::Runner<Controller<C>, Alarm, A>;
 
-/// What the runner needs beside the controller.
-struct Board {
-    alarm: Alarm,
-}
-
-impl System for Board {
+impl System for Alarm {
     #[inline(always)] // It reads a register.
     fn now(&self) -> Instant {
         clock::now()
@@ -38,106 +31,11 @@ impl System for Board {
     }
 
     fn set_alarm(&mut self, at: Instant) {
-        self.alarm.set(at);
+        self.set(at);
     }
 
     fn begin_store(&mut self) {
         NVIC::pend(watchdog::STORE);
-    }
-}
-
-impl<C: Peripheral, A: Application> Runner<C, A> {
-    /// A node after power-on, and its controller, which takes part in the bus from now on, unless the node wants to
-    /// listen first.
-    pub fn new(node: Node<A>, can: Controller<C>, alarm: Alarm) -> Self {
-        const {
-            assert!(
-                Node::<A>::STORED_LEN <= flash::CAPACITY,
-                "the flash has no room for the stored parameters of the application"
-            );
-        }
-        Self { runner: runner::Runner::new(node, can, Board { alarm }) }
-    }
-
-    /// Handles received frames.
-    pub fn handle_received(&mut self) {
-        self.runner.handle_received();
-        Task::RECEIVED.answer();
-    }
-
-    /// Handles frames that were sent or aborted.
-    pub fn handle_transmitted(&mut self) {
-        self.runner.handle_transmitted();
-        Task::TRANSMITTED.answer();
-    }
-
-    /// Handles a change of the controller's error state, or an error on the bus.
-    pub fn handle_status(&mut self) {
-        self.runner.handle_status();
-        Task::STATUS.answer();
-    }
-
-    /// Checks the controller, a few times a second: no interrupt reports its recovery from bus-off.
-    pub fn supervise(&mut self) {
-        self.runner.supervise();
-    }
-
-    /// Does what is due now; returns the indicators to light, at the start of each of their steps.
-    pub fn handle_alarm(&mut self) -> Option<Lit> {
-        self.runner.system_mut().alarm.acknowledge();
-        self.runner.handle_alarm()
-    }
-
-    /// Reads or changes the application's values.
-    pub fn application<R>(&mut self, access: impl FnOnce(&mut A) -> R) -> R {
-        self.runner.application(access)
-    }
-
-    /// Reports an error of the application, as [`Node::report`] does.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
-        self.runner.report(code, register, information)
-    }
-
-    /// Ends an error of the application, as [`Node::end_report`] does.
-    pub fn end_report(&mut self, code: u16) {
-        self.runner.end_report(code);
-    }
-
-    /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
-    pub fn send_tpdo(&mut self, number: u8) {
-        self.runner.send_tpdo(number);
-    }
-
-    /// The node.
-    pub const fn node(&self) -> &Node<A> {
-        self.runner.node()
-    }
-
-    /// Sends a frame of the application, as [`Node::send`] does.
-    pub fn send(&mut self, frame: Frame) {
-        self.runner.send(frame);
-    }
-
-    /// Switches the bit rate, as [`Node::switch_bit_rate`] does.
-    pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16) -> bool {
-        self.runner.switch_bit_rate(rate, delay_ms)
-    }
-
-    /// Stores the application's values, as [`Node::store_values`] does.
-    pub fn store_values(&mut self) -> bool {
-        self.runner.store_values()
-    }
-
-    fn take_store(
-        &mut self,
-        persistent: &[u8],
-        parameters: &mut [u8],
-    ) -> Option<(Settings, usize)> {
-        self.runner.take_store(persistent, parameters)
-    }
-
-    fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
-        self.runner.handle_stored(outcome);
     }
 }
 
