@@ -6,8 +6,8 @@ use core::cmp::Ordering;
 use lss_slave::{Slave, bytes::copy};
 
 use super::{
-    Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    settings_object,
+    Action, Confirmation, Node, Storing, Task, Tasks, areas::Download,
+    communication::Communication, program, settings_object,
 };
 use crate::{
     Device, Frame, Instant,
@@ -93,8 +93,12 @@ pub(super) struct NodeObjects<'a, A: Application> {
 
 impl<A: Application> Objects for NodeObjects<'_, A> {
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+    const PROGRAM_DOWNLOAD: bool = A::PROGRAM_DOWNLOAD;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
+        if A::PROGRAM_DOWNLOAD && program::contains(index) {
+            return Ok(object_dictionary::find(program::ROWS, index, sub_index)?);
+        }
         let of_communication = Communication::<A::Numbers>::table(index);
         let table = match A::OBJECTS.first() {
             _ if A::SETTINGS_BY_SDO && index == settings_object::INDEX => settings_object::ROWS,
@@ -108,6 +112,10 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let node_id = self.slave.lss().active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
+                if A::PROGRAM_DOWNLOAD && program::contains(entry.index) {
+                    let value = self.application.read_program(entry.index, entry.sub_index);
+                    return Ok(Content::Number(value));
+                }
                 if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
                 }
@@ -166,6 +174,12 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         bytes: &[u8],
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::CONTROL {
+            let [value] = *bytes else { return Err(Abort::TooLong) };
+            let confirmation = confirmation_of(entry, confirmation);
+            let answer = self.application.control_program(value, confirmation)?;
+            return Ok(answer.map(|answer| answer.message));
+        }
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
@@ -246,9 +260,25 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         self.application.end_domain(entry.index, entry.sub_index, len)
     }
 
+    fn end_program(
+        &mut self,
+        entry: &Entry,
+        len: u32,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        let confirmation = confirmation_of(entry, confirmation);
+        let answer = self.application.end_program(len, confirmation)?;
+        Ok(answer.map(|answer| answer.message))
+    }
+
     fn abort_domain(&mut self, entry: &Entry) {
         self.application.abort_domain(entry.index, entry.sub_index);
     }
+}
+
+/// The answer to the download of an object, for an application that gives it later.
+const fn confirmation_of(entry: &Entry, message: Message) -> Confirmation {
+    Confirmation { index: entry.index, sub_index: entry.sub_index, message }
 }
 
 impl<A: Application> NodeObjects<'_, A> {
