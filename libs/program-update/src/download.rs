@@ -1,0 +1,1 @@
+//! A download on its way into the flash.
