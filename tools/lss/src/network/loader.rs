@@ -1,0 +1,366 @@
+//! A node that takes programs (CiA 302-3): its objects 1F50h, 1F51h, 1F56h and 1F57h, and the state 2001h of an update.
+
+use std::time::{Duration, Instant};
+
+use can_bus::sdo;
+use canopen_node::NodeId;
+use program_update::{State, header::Field};
+
+use super::nodes;
+use crate::{failure::Failure, session::Session};
+
+/// An object.
+type Object = (u16, u8);
+const DATA: Object = (0x1F50, 1);
+const CONTROL: Object = (0x1F51, 1);
+const SOFTWARE: Object = (0x1F56, 1);
+const STATUS: Object = (0x1F57, 1);
+const STATE: Object = (0x2001, 1);
+
+/// The values of program control 1F51h.
+const STOP: u32 = 0;
+const START: u32 = 1;
+const RESET: u32 = 2;
+const CLEAR: u32 = 3;
+const CONFIRM: u32 = 0x80;
+
+/// The NMT command enter pre-operational.
+const ENTER_PRE_OPERATIONAL: u8 = 128;
+/// How often a request without an answer is repeated.
+const ATTEMPTS: usize = 3;
+/// The time between two looks at the state of a node.
+const GLANCE: Duration = Duration::from_millis(50);
+/// The longest that a node may be silent: it may reset, and check its program.
+const SILENCE: Duration = Duration::from_secs(5);
+/// The longest time of a clear, or of a restore, of the greatest program in the slowest flash.
+const BUSY: Duration = Duration::from_secs(90);
+/// The wait for the answer to the beginning and to the end of a download.
+const DOWNLOAD_WAIT: Duration = Duration::from_secs(10);
+/// The wait for a program after its start: three starts that fail, and a restore.
+const START_WAIT: Duration = Duration::from_secs(60);
+
+/// What became of a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// It runs, and is confirmed.
+    Confirmed,
+    /// It has failed, and the one before runs.
+    WentBack,
+}
+
+/// What a node runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Installed {
+    /// The program runs, and not the loader.
+    pub runs: bool,
+    /// Its CRC; 0 without one.
+    pub crc: u32,
+    pub is_on_trial: bool,
+}
+
+/// A node, and what it is doing, for the person who waits.
+pub struct Loader<'s, 'a> {
+    session: &'s mut Session<'a>,
+    id: u8,
+    who: &'s str,
+}
+
+impl<'s, 'a> Loader<'s, 'a> {
+    pub fn new(session: &'s mut Session<'a>, id: NodeId, who: &'s str) -> Self {
+        Self { session, id: id.get(), who }
+    }
+
+    /// Why the node has no program download, if it has none, in words.
+    pub fn misses(&mut self) -> Result<Option<String>, Failure> {
+        match self.try_read(STATUS)? {
+            Err(why) if why.starts_with("abort") => Ok(Some(format!(
+                "it has no program download (1F57h: {}). Its program was made without a loader: only a debug probe installs \
+                 one, with factory.hex",
+                sdo::in_words(&why)
+            ))),
+            _ => Ok(None),
+        }
+    }
+
+    /// What is installed, when nothing is under way any more.
+    pub fn installed(&mut self) -> Result<Installed, Failure> {
+        self.idle("waiting until it is ready")?;
+        let runs = self.read(CONTROL)? == START;
+        let crc = self.read(SOFTWARE)?;
+        let is_on_trial = self.read(STATE)? == State::Trial as u32;
+        Ok(Installed { runs, crc, is_on_trial })
+    }
+
+    /// Lets the node run its loader, NMT pre-operational.
+    pub fn stop(&mut self) -> Result<(), Failure> {
+        self.say("stopping the program");
+        let mut why = String::new();
+        for _ in 0..ATTEMPTS {
+            self.session.bus.nmt(ENTER_PRE_OPERATIONAL, self.id)?;
+            match self.write(CONTROL, STOP)? {
+                Ok(()) => return Ok(()),
+                Err(error) => why = error,
+            }
+            // It may have lost only the answer.
+            if self.read(CONTROL)? != START {
+                return Ok(());
+            }
+        }
+        Err(refused("it does not stop its program (1F51h)", &why))
+    }
+
+    /// Sends the header before anything is erased: the loader refuses one that is not for it.
+    pub fn check(&mut self, header: &[u8]) -> Result<(), Failure> {
+        self.say("checking");
+        let bus = &mut self.session.bus;
+        match sdo::download(bus, self.id, DATA, header, DOWNLOAD_WAIT)? {
+            Err(why) if why == NOT_STORED => self.fail("it refuses the file", &why),
+            // It is not cleared, as it says.
+            _ => Ok(()),
+        }
+    }
+
+    /// Erases the program, and downloads another one: by blocks, and if that fails, by segments.
+    pub fn install(&mut self, file: &[u8]) -> Result<(), Failure> {
+        for by_blocks in [true, false] {
+            self.say("clearing");
+            if let Err(why) = self.write(CONTROL, CLEAR)? {
+                return self.fail("it does not clear", &why);
+            }
+            self.cleared()?;
+            let outcome = self.download(file, by_blocks);
+            if let Err(Failure::Stop(_)) = &outcome {
+                // It would wait for the rest for a second.
+                self.session.bus.hold_interrupt(true);
+                let _ = sdo::abort(&mut self.session.bus, self.id, DATA);
+                self.session.bus.hold_interrupt(false);
+            }
+            match outcome? {
+                Ok(()) => return self.check_status("the download has failed"),
+                Err(why) if by_blocks && is_of_transfer(&why) => {}
+                Err(why) => return self.fail("the download has failed", &why),
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts the program that is installed, and confirms it.
+    pub fn start(&mut self, crc: u32) -> Result<Fate, Failure> {
+        self.say("starting the program");
+        self.session.bus.take_unasked();
+        if let Err(why) = self.write(CONTROL, START)?
+            && why != NO_ANSWER
+        {
+            return self.fail("it does not start the program", &why);
+        }
+        let id = self.id;
+        self.session.bus.wait_for(SILENCE, |frame| nodes::booted(frame) == Some(id))?;
+        if self.running()? != crc {
+            return Ok(Fate::WentBack);
+        }
+        self.confirm(crc)
+    }
+
+    /// Confirms the program that runs.
+    pub fn confirm(&mut self, crc: u32) -> Result<Fate, Failure> {
+        self.say("confirming the program");
+        let mut why = String::new();
+        for _ in 0..ATTEMPTS {
+            if let Err(error) = self.write(CONTROL, CONFIRM)? {
+                why = error;
+            }
+            // A program that fails its trial answers for some time.
+            if self.running()? != crc {
+                return Ok(Fate::WentBack);
+            }
+            if self.try_read(STATE)?.is_ok_and(|state| state != State::Trial as u32) {
+                return Ok(Fate::Confirmed);
+            }
+        }
+        Err(refused("the program runs, but cannot be confirmed: it goes back to the one before", &why))
+    }
+
+    /// Lets the node start the program that it has, or the one before; says what runs then.
+    pub fn go_back(&mut self) -> Result<String, Failure> {
+        self.say("going back");
+        Ok(match self.write(CONTROL, RESET)?.is_ok() && self.running().is_ok() {
+            true => "the program before runs".to_owned(),
+            false => "it stays in its loader".to_owned(),
+        })
+    }
+
+    /// The CRC of the program that runs, when one does.
+    fn running(&mut self) -> Result<u32, Failure> {
+        let until = self.session.bus.time() + START_WAIT;
+        let mut heard = self.session.bus.time();
+        while self.session.bus.time() < until {
+            let control = self.try_read(CONTROL)?;
+            if control.is_ok() {
+                heard = self.session.bus.time();
+            }
+            if control == Ok(START)
+                && let Ok(crc) = self.try_read(SOFTWARE)?
+            {
+                return Ok(crc);
+            }
+            self.glance()?;
+        }
+        let now = self.session.bus.time();
+        Err(match now.saturating_duration_since(heard) > SILENCE {
+            true => Failure::NoAnswer("it does not answer any more".into()),
+            false => Failure::Refused("no program runs, only the loader".into()),
+        })
+    }
+
+    fn cleared(&mut self) -> Result<(), Failure> {
+        self.idle("clearing")?;
+        self.check_status("it does not clear")
+    }
+
+    fn download(&mut self, file: &[u8], by_blocks: bool) -> Result<Result<(), String>, Failure> {
+        let Self { session, id, who } = self;
+        let Session { bus, progress, .. } = session;
+        let all = file.len().div_ceil(1024);
+        let say = |done: usize| progress.say(|| format!("{who}: {} of {all} KB", done / 1024));
+        Ok(match by_blocks {
+            true => sdo::download_blocks(bus, *id, DATA, file, DOWNLOAD_WAIT, say)?,
+            false => sdo::download_segments(bus, *id, DATA, file, DOWNLOAD_WAIT, say)?,
+        })
+    }
+
+    /// Waits while the flash is busy.
+    fn idle(&mut self, what: &str) -> Result<(), Failure> {
+        let begin = self.session.bus.time();
+        let mut heard: Instant = begin;
+        loop {
+            self.say(what);
+            let now = self.session.bus.time();
+            match self.try_read(STATUS)? {
+                Ok(status) if status & 1 == 0 => return Ok(()),
+                Ok(_) => heard = now,
+                Err(why) if now.saturating_duration_since(heard) > SILENCE => {
+                    return Err(Failure::NoAnswer(format!("{what}: {}", sdo::in_words(&why))));
+                }
+                Err(_) => {}
+            }
+            if now.saturating_duration_since(begin) > BUSY {
+                return Err(Failure::Refused(format!("{what}: its flash does not become ready")));
+            }
+            self.glance()?;
+        }
+    }
+
+    fn check_status(&mut self, what: &str) -> Result<(), Failure> {
+        self.idle("checking")?;
+        match self.read(STATUS)? {
+            0 => Ok(()),
+            status => Err(Failure::Refused(format!("{what}: {}", words(status)))),
+        }
+    }
+
+    /// The failure after a request was refused: what the node says, or else the abort code.
+    fn fail<T>(&mut self, what: &str, why: &str) -> Result<T, Failure> {
+        if why == NO_ANSWER {
+            return Err(Failure::NoAnswer(format!("{what}: it does not answer any more")));
+        }
+        match self.try_read(STATUS)? {
+            Ok(status) if status >> 1 != 0 => {
+                Err(Failure::Refused(format!("{what}: {}", words(status))))
+            }
+            _ => Err(refused(what, why)),
+        }
+    }
+
+    fn read(&mut self, object: Object) -> Result<u32, Failure> {
+        let mut last = String::new();
+        for _ in 0..ATTEMPTS {
+            match self.try_read(object)? {
+                Ok(value) => return Ok(value),
+                Err(why) => last = why,
+            }
+        }
+        Err(match last == NO_ANSWER {
+            true => Failure::NoAnswer("it does not answer any more".into()),
+            false => refused(&format!("{:04X}h cannot be read", object.0), &last),
+        })
+    }
+
+    fn try_read(&mut self, (index, sub_index): Object) -> Result<Result<u32, String>, Failure> {
+        Ok(sdo::read_number(&mut self.session.bus, self.id, index, sub_index)?)
+    }
+
+    fn write(&mut self, object: Object, value: u32) -> Result<Result<(), String>, Failure> {
+        Ok(sdo::write(&mut self.session.bus, self.id, object, value, 1)?)
+    }
+
+    fn glance(&mut self) -> Result<(), Failure> {
+        Ok(self.session.bus.pass(GLANCE)?)
+    }
+
+    fn say(&mut self, what: &str) {
+        let who = self.who;
+        self.session.progress.say(|| format!("{who}: {what}"));
+    }
+}
+
+/// The errors of a transfer that have a meaning here.
+const NO_ANSWER: &str = "no answer";
+const NOT_STORED: &str = "abort 08000020";
+
+/// Whether the transfer has failed, and not the data.
+fn is_of_transfer(why: &str) -> bool {
+    !why.starts_with("abort") || ["abort 0503", "abort 0504"].iter().any(|of| why.starts_with(of))
+}
+
+fn refused(what: &str, why: &str) -> Failure {
+    Failure::Refused(format!("{what}: {}", sdo::in_words(why)))
+}
+
+/// The flash status 1F57h in words, and what to do.
+pub fn words(status: u32) -> String {
+    let field = status >> 16;
+    match status >> 1 & 0x7F {
+        0 => "no error (1F57h)".into(),
+        1 => "it has no valid program".into(),
+        2 => field_words(field),
+        3 if field == Field::Length as u32 => "the program has another length than its header says".into(),
+        3 if field == Field::Address as u32 => {
+            "the program begins with no stack pointer and reset vector for this chip".into()
+        }
+        3 => "the program is damaged: its checksum is wrong. Make or copy the file again".into(),
+        4 => "it was not cleared".into(),
+        5 => "its flash cannot be erased or written. If it stays so, exchange the board".into(),
+        6 => "the program is too long for it".into(),
+        7 => "its flash is write-protected, or its supply is too low".into(),
+        other => format!("status {other} of 1F57h, which is not known"),
+    }
+}
+
+/// Why a header is refused.
+fn field_words(field: u32) -> String {
+    let of = |other: Field| field == other as u32;
+    let what = if of(Field::Magic) {
+        "it does not begin as an update file"
+    } else if of(Field::HeaderCrc) || of(Field::Rest) {
+        "its header is damaged"
+    } else if of(Field::Length) {
+        "it has no program of whole words"
+    } else if of(Field::Vendor) || of(Field::Product) {
+        "it is for another product"
+    } else if of(Field::Hardware) {
+        "it is for another hardware version"
+    } else if of(Field::Chip) {
+        "it is for another chip"
+    } else if of(Field::Controller) {
+        "it is for another CAN controller"
+    } else if of(Field::Address) {
+        "it is for another place in the flash"
+    } else if of(Field::Release) {
+        "its release is lower than the installed one"
+    } else if of(Field::Signature) {
+        "it is not signed with the key of this board"
+    } else {
+        return format!("the board does not accept byte {field} of its header");
+    };
+    what.to_owned()
+}
