@@ -209,16 +209,13 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// The next bytes of a download to 1F50h, any number of them; a new download begins with `offset` 0.
     ///
     /// # Errors
-    /// [`Abort::DeviceState`]: not cleared. [`Abort::NotStored`]: the header does not fit, nothing was written.
+    /// [`Abort::NotStored`]: the header does not fit, nothing was written. [`Abort::DeviceState`]: it fits, but RUN is not
+    /// cleared: so a client can ask before.
     /// [`Abort::Hardware`]: the flash failed, or there are more bytes than the header says. [`Abort::Memory`]: more than
     /// [`room`](Self::room). In each case 1F57h says why, and the download has ended.
     pub fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
         if offset == 0 {
             self.abort();
-            if !matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
-                self.status = Status::NotCleared;
-                return Err(Abort::DeviceState);
-            }
             self.status = Status::Ok;
             self.download.begin(Phase::Receiving);
         }
@@ -238,6 +235,10 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 self.refuse(status);
                 Abort::NotStored
             })?);
+            if !matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
+                self.refuse(Status::NotCleared);
+                return Err(Abort::DeviceState);
+            }
         }
         let left = self.download.expected_len().wrapping_sub(self.download.received());
         if program.len() > left as usize {
@@ -295,8 +296,12 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     fn accept(&mut self) -> Result<Header, Status> {
         let bytes = self.download.bytes();
         let header = Header::parse(bytes).map_err(Status::Refused)?;
-        // BACKUP holds no program until RUN is copied to it.
-        let installed = self.backup.or(self.run).map(|header| header.release);
+        // Once RUN is about to be cleared, BACKUP holds the program that was confirmed last, or will do so.
+        let installed = match self.cleared {
+            Cleared::No => self.run.or(self.backup),
+            _ => self.backup.or(self.run),
+        };
+        let installed = installed.map(|header| header.release);
         header.check(&self.expected, installed)?;
         if !self.verify.is_signed(signed(bytes), &header.signature) {
             return Err(Status::Refused(Field::Signature));

@@ -76,7 +76,8 @@ fn send_block(bus: &mut Bus, node: u8, segments: &[&[u8]], ends: bool) -> Outcom
         last[1..][..segment.len()].copy_from_slice(segment);
         bus.send_to(0x600 + u16::from(node), &last)?;
         let ahead = u32::from(number).saturating_sub(AHEAD);
-        answer = bus.wait_for(until(bus, begin + bits(ahead * SEGMENT_BITS, bus.rate())), is_answer)?;
+        answer =
+            bus.wait_for(until(bus, begin + bits(ahead * SEGMENT_BITS, bus.rate())), is_answer)?;
         // It has refused one of them.
         if answer.is_some() {
             break;

@@ -1,7 +1,7 @@
 //! `lss update`: installs a program on one board after the other, each with a way back.
 
-use canopen_node::NodeId;
 use can_bus::sdo;
+use canopen_node::NodeId;
 use program_update::header::HEADER_LEN;
 use serde::Serialize;
 
@@ -32,7 +32,7 @@ enum Outcome {
     Confirmed,
     Present,
     LeftAlone,
-    WentBack,
+    ProgramFailed,
     Failed,
 }
 
@@ -89,8 +89,9 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
         writeln!(session.out, "not finished: start `lss update` again, and it goes on")?;
     }
     outcome?;
-    let failed =
-        boards.iter().filter(|board| matches!(board.outcome, Outcome::Failed | Outcome::WentBack));
+    let failed = boards
+        .iter()
+        .filter(|board| matches!(board.outcome, Outcome::Failed | Outcome::ProgramFailed));
     let problems: Vec<String> = failed.map(Board::line).collect();
     Failure::of(&problems)
 }
@@ -112,17 +113,11 @@ fn install_all(
             continue;
         }
         let who = format!("node {} ({number} of {all})", id.get());
-        match install(session, file, id, &who) {
-            Ok(outcome) => board.outcome = outcome,
-            Err(failure) => {
-                board.outcome = Outcome::Failed;
-                board.why = Some(failure.of_board()?);
-            }
-        }
-        if board.outcome == Outcome::WentBack {
-            is_bad = true;
-            board.why = Some("the program does not run: the board went back to the one before".into());
-        }
+        (board.outcome, board.why) = match install(session, file, id, &who) {
+            Ok(outcome) => outcome,
+            Err(failure) => (Outcome::Failed, Some(failure.of_board()?)),
+        };
+        is_bad = board.outcome == Outcome::ProgramFailed;
         let was_operational = board.row.state == Some("operational");
         if !is_quiet && board.why.is_none() {
             session.progress.clear();
@@ -149,30 +144,19 @@ fn install(
     file: &UpdateFile,
     id: NodeId,
     who: &str,
-) -> Result<Outcome, Failure> {
+) -> Result<(Outcome, Option<String>), Failure> {
     let crc = file.header.crc;
-    let installed = Loader::new(session, id, who).installed()?;
-    let fate = |fate| match fate {
-        Fate::Confirmed => Outcome::Installed,
-        Fate::WentBack => Outcome::WentBack,
-    };
-    if installed.crc == crc && installed.runs {
-        return match installed.is_on_trial {
-            false => Ok(Outcome::Present),
-            true => session.uninterrupted(|session| {
-                match Loader::new(session, id, who).confirm(crc)? {
-                    Fate::Confirmed => Ok(Outcome::Confirmed),
-                    Fate::WentBack => Ok(Outcome::WentBack),
-                }
-            }),
-        };
+    let mut loader = Loader::new(session, id, who);
+    let installed = loader.installed()?;
+    let is_started = installed.crc == crc && installed.runs;
+    if is_started && !installed.is_on_trial {
+        return Ok((Outcome::Present, None));
     }
     if installed.crc != crc {
-        let mut loader = Loader::new(session, id, who);
         if installed.runs {
             loader.stop()?;
         }
-        let (header, _) = file.bytes.split_at(HEADER_LEN.min(file.bytes.len()));
+        let header = &file.bytes[..HEADER_LEN];
         let outcome = loader.check(header).and_then(|()| loader.install(&file.bytes));
         if let Err(Failure::Refused(why)) = outcome {
             let back = loader.go_back()?;
@@ -181,7 +165,15 @@ fn install(
         outcome?;
     }
     // A program that nobody confirms would be taken back.
-    session.uninterrupted(|session| Loader::new(session, id, who).start(crc)).map(fate)
+    let fate = session.uninterrupted(|session| {
+        let mut loader = Loader::new(session, id, who);
+        if is_started { loader.confirm(crc) } else { loader.start(crc) }
+    })?;
+    Ok(match fate {
+        Fate::Confirmed if is_started => (Outcome::Confirmed, None),
+        Fate::Confirmed => (Outcome::Installed, None),
+        Fate::Failed(why) => (Outcome::ProgramFailed, Some(why)),
+    })
 }
 
 /// All nodes that answer.

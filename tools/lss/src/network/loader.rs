@@ -23,6 +23,8 @@ const START: u32 = 1;
 const RESET: u32 = 2;
 const CLEAR: u32 = 3;
 const CONFIRM: u32 = 0x80;
+/// 1F51h reads so in a loader without a valid program.
+const NO_PROGRAM: u32 = 3;
 
 /// The NMT command enter pre-operational.
 const ENTER_PRE_OPERATIONAL: u8 = 128;
@@ -39,13 +41,19 @@ const DOWNLOAD_WAIT: Duration = Duration::from_secs(10);
 /// The wait for a program after its start: three starts that fail, and a restore.
 const START_WAIT: Duration = Duration::from_secs(60);
 
-/// What became of a program.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What became of a program that was started.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// It runs, and is confirmed.
     Confirmed,
-    /// It has failed, and the one before runs.
-    WentBack,
+    /// It does not run, or cannot be confirmed: why, in words. The board goes back to the one before.
+    Failed(String),
+}
+
+impl Fate {
+    fn of(what: &str) -> Self {
+        Self::Failed(what.to_owned())
+    }
 }
 
 /// What a node runs.
@@ -124,10 +132,7 @@ impl<'s, 'a> Loader<'s, 'a> {
     pub fn install(&mut self, file: &[u8]) -> Result<(), Failure> {
         for by_blocks in [true, false] {
             self.say("clearing");
-            if let Err(why) = self.write(CONTROL, CLEAR)? {
-                return self.fail("it does not clear", &why);
-            }
-            self.cleared()?;
+            self.clear()?;
             let outcome = self.download(file, by_blocks);
             if let Err(Failure::Stop(_)) = &outcome {
                 // It would wait for the rest for a second.
@@ -155,9 +160,6 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
         let id = self.id;
         self.session.bus.wait_for(SILENCE, |frame| nodes::booted(frame) == Some(id))?;
-        if self.running()? != crc {
-            return Ok(Fate::WentBack);
-        }
         self.confirm(crc)
     }
 
@@ -166,53 +168,84 @@ impl<'s, 'a> Loader<'s, 'a> {
         self.say("confirming the program");
         let mut why = String::new();
         for _ in 0..ATTEMPTS {
-            if let Err(error) = self.write(CONTROL, CONFIRM)? {
-                why = error;
+            match self.running() {
+                Ok(runs) if runs == crc => {}
+                Ok(_) => {
+                    return Ok(Fate::of("the program does not run; the one before runs again"));
+                }
+                Err(failure) => {
+                    let why = failure.of_board()?;
+                    return Ok(Fate::Failed(format!("the program does not run: {why}")));
+                }
             }
-            // A program that fails its trial answers for some time.
-            if self.running()? != crc {
-                return Ok(Fate::WentBack);
-            }
-            if self.try_read(STATE)?.is_ok_and(|state| state != State::Trial as u32) {
-                return Ok(Fate::Confirmed);
+            match self.write(CONTROL, CONFIRM)? {
+                Ok(()) if self.read(STATE)? != State::Trial as u32 => return Ok(Fate::Confirmed),
+                Ok(()) => {}
+                Err(error) => why = error,
             }
         }
-        Err(refused("the program runs, but cannot be confirmed: it goes back to the one before", &why))
+        let why = sdo::in_words(&why);
+        Ok(Fate::Failed(format!(
+            "the program runs, but cannot be confirmed ({why}): the board goes back to the one before"
+        )))
     }
 
     /// Lets the node start the program that it has, or the one before; says what runs then.
-    pub fn go_back(&mut self) -> Result<String, Failure> {
+    pub fn go_back(&mut self) -> Result<&'static str, Failure> {
         self.say("going back");
-        Ok(match self.write(CONTROL, RESET)?.is_ok() && self.running().is_ok() {
-            true => "the program before runs".to_owned(),
-            false => "it stays in its loader".to_owned(),
+        let is_asked = self.write(CONTROL, RESET)?.is_ok();
+        Ok(match is_asked.then(|| self.running()) {
+            Some(Ok(_)) => "the program before runs",
+            Some(Err(stop @ Failure::Stop(_))) => return Err(stop),
+            _ => "it stays in its loader",
         })
     }
 
     /// The CRC of the program that runs, when one does.
     fn running(&mut self) -> Result<u32, Failure> {
-        let until = self.session.bus.time() + START_WAIT;
-        let mut heard = self.session.bus.time();
-        while self.session.bus.time() < until {
-            let control = self.try_read(CONTROL)?;
-            if control.is_ok() {
-                heard = self.session.bus.time();
+        let begin = self.session.bus.time();
+        let (mut heard, mut busy) = (begin, begin);
+        loop {
+            let now = self.session.bus.time();
+            match self.try_read(CONTROL)? {
+                Ok(START) => {
+                    if let Ok(crc) = self.try_read(SOFTWARE)? {
+                        return Ok(crc);
+                    }
+                }
+                Ok(control) => {
+                    heard = now;
+                    let is_busy = !matches!(self.try_read(STATUS)?, Ok(status) if status & 1 == 0);
+                    if control != NO_PROGRAM || is_busy {
+                        busy = now;
+                    }
+                }
+                Err(_) => busy = now,
             }
-            if control == Ok(START)
-                && let Ok(crc) = self.try_read(SOFTWARE)?
-            {
-                return Ok(crc);
+            if now.saturating_duration_since(busy) > SILENCE {
+                return Err(Failure::Refused("it has no valid program, only the loader".into()));
+            }
+            if now.saturating_duration_since(begin) > START_WAIT {
+                return Err(match now.saturating_duration_since(heard) > SILENCE {
+                    true => Failure::NoAnswer("it does not answer any more".into()),
+                    false => Failure::Refused("it stays in its loader".into()),
+                });
             }
             self.glance()?;
         }
-        let now = self.session.bus.time();
-        Err(match now.saturating_duration_since(heard) > SILENCE {
-            true => Failure::NoAnswer("it does not answer any more".into()),
-            false => Failure::Refused("no program runs, only the loader".into()),
-        })
     }
 
-    fn cleared(&mut self) -> Result<(), Failure> {
+    fn clear(&mut self) -> Result<(), Failure> {
+        let mut outcome = Ok(());
+        for _ in 0..ATTEMPTS {
+            outcome = self.write(CONTROL, CLEAR)?;
+            if outcome.as_ref().err().is_none_or(|why| why != NO_ANSWER) {
+                break;
+            }
+        }
+        if let Err(why) = outcome {
+            return self.fail("it does not clear", &why);
+        }
         self.idle("clearing")?;
         self.check_status("it does not clear")
     }
@@ -323,7 +356,9 @@ pub fn words(status: u32) -> String {
         0 => "no error (1F57h)".into(),
         1 => "it has no valid program".into(),
         2 => field_words(field),
-        3 if field == Field::Length as u32 => "the program has another length than its header says".into(),
+        3 if field == Field::Length as u32 => {
+            "the program has another length than its header says".into()
+        }
         3 if field == Field::Address as u32 => {
             "the program begins with no stack pointer and reset vector for this chip".into()
         }

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use canopen_node::lss::Address;
 use program_update::{
     Expected, Header, Status, crc,
-    header::{HEADER_LEN, check_file, text_of},
+    header::{Field, HEADER_LEN, check_file, text_of},
 };
 use serde::Serialize;
 
@@ -40,9 +40,11 @@ impl UpdateFile {
             let why = words(status.value(false));
             refused(format!("no update file, or a damaged one: {why}. Nothing was changed"))
         };
-        let header = bytes.first_chunk::<HEADER_LEN>().map(Header::parse);
-        let header = header.unwrap_or(Err(program_update::header::Field::Length));
-        let header = header.map_err(|field| no_file(Status::Refused(field)))?;
+        let header = match bytes.first_chunk::<HEADER_LEN>() {
+            None => Err(Status::Damaged(Field::Length)),
+            Some(header) => Header::parse(header).map_err(Status::Refused),
+        };
+        let header = header.map_err(no_file)?;
         check_file(&bytes, &any_board(&header), None).map_err(no_file)?;
         Ok(Self { bytes, header })
     }
