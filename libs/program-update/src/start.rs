@@ -70,9 +70,9 @@ pub fn decide<F: Flash>(flash: &mut F, mailbox: Option<Mailbox>, cause: Cause) -
     }
 
     let mut journal = Journal::open(flash);
-    let mut next = next(journal, |area| program_in(flash, area).is_some());
+    let mut next = next(journal, true, |area| program_in(flash, area).is_some());
     if next == Next::Trial && !begin_trial(flash, &mut journal) {
-        next = Next::Restore;
+        next = self::next(journal, false, |area| program_in(flash, area).is_some());
     }
     let start = match next {
         Next::Trial => {
@@ -90,10 +90,15 @@ pub fn decide<F: Flash>(flash: &mut F, mailbox: Option<Mailbox>, cause: Cause) -
 }
 
 /// What the journal asks for; `is_valid` says whether an area holds a valid program.
-pub(crate) fn next(journal: Journal, mut is_valid: impl FnMut(Area) -> bool) -> Next {
+pub(crate) fn next(
+    journal: Journal,
+    may_try: bool,
+    mut is_valid: impl FnMut(Area) -> bool,
+) -> Next {
     let run = is_valid(Area::Run);
-    let may_try = journal.is_loaded() && !journal.is_undone() && journal.tries() < 3;
-    if journal.is_pending() && may_try && run {
+    let is_new = journal.is_loaded() && !journal.is_undone();
+    let has_try = usize::from(journal.tries()) < TRY.len();
+    if journal.is_pending() && is_new && has_try && may_try && run {
         Next::Trial
     } else if run && !journal.is_pending() {
         Next::Program
