@@ -139,8 +139,11 @@ impl Program {
     /// # Errors
     /// [`Abort::Hardware`]: the flash failed. The trial goes on.
     pub fn confirm<F: Flash>(&mut self, flash: &mut F) -> Result<(), Abort> {
+        self.well_since = None;
         let mut journal = Journal::read(flash);
-        if journal.is_saved() && journal.is_loaded() && !journal.is_undone() {
+        // On trial, what the start has read counts: UNDO may read otherwise now.
+        let is_new = journal.is_saved() && journal.is_loaded() && !journal.is_undone();
+        if self.on_trial || is_new {
             for word in KEPT {
                 journal.write(flash, word, SET).map_err(|_| Abort::Hardware)?;
             }

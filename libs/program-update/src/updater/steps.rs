@@ -66,10 +66,10 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     pub(super) fn clear(&mut self) {
         self.reset = super::Reset::No;
         self.abort();
+        self.status = Status::Ok;
         if matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
             return;
         }
-        self.status = Status::Ok;
         self.cleared = Cleared::Soon;
         if self.step != Step::Idle {
             // A restore, or the mark of a new program: it has to be undone.
@@ -104,8 +104,13 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             }
             Step::Idle => self.write_download()?,
             Step::Saved { second } => {
-                // Before a restore, one of them is enough.
-                let is_needed = self.procedure != Procedure::Restore;
+                // Of those that are programmed again, one is enough: the other one may have been voided.
+                let is_needed = match self.procedure {
+                    Procedure::Save => true,
+                    Procedure::Restore | Procedure::Clear => {
+                        second && !self.journal.is_set(SAVED[0])
+                    }
+                };
                 self.mark(one_of(SAVED, second), SET, is_needed)?;
                 self.step = match self.procedure {
                     _ if !second => Step::Saved { second: true },
@@ -121,7 +126,6 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 self.mark(one_of(SAVED, second), VOID, true)?;
                 self.step = if second { Step::Erase(0) } else { Step::Unsaved { second: true } };
             }
-            Step::Unkept { .. } if !self.journal.is_saved() => return Err(FlashError::Failed),
             Step::Unkept { second } => {
                 self.mark(one_of(KEPT, second), VOID, true)?;
                 self.step = if second { Step::Choose(0) } else { Step::Unkept { second: true } };
