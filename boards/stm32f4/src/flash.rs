@@ -42,42 +42,6 @@ pub struct SettingsFlash {
     supply: Supply,
 }
 
-/// The same for one who only reads.
-#[cfg(all(feature = "update", target_os = "none"))]
-pub struct ReadOnly(pub SettingsFlash);
-
-#[cfg(all(feature = "update", target_os = "none"))]
-impl ErrorType for ReadOnly {
-    type Error = FlashError;
-}
-
-#[cfg(all(feature = "update", target_os = "none"))]
-impl ReadNorFlash for ReadOnly {
-    const READ_SIZE: usize = SettingsFlash::READ_SIZE;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
-        self.0.read(offset, bytes)
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.capacity()
-    }
-}
-
-#[cfg(all(feature = "update", target_os = "none"))]
-impl NorFlash for ReadOnly {
-    const WRITE_SIZE: usize = SettingsFlash::WRITE_SIZE;
-    const ERASE_SIZE: usize = SettingsFlash::ERASE_SIZE;
-
-    fn erase(&mut self, _: u32, _: u32) -> Result<(), FlashError> {
-        Err(FlashError::Status)
-    }
-
-    fn write(&mut self, _: u32, _: &[u8]) -> Result<(), FlashError> {
-        Err(FlashError::Status)
-    }
-}
-
 /// The reason for a failed operation.
 #[derive(Debug)]
 pub enum FlashError {

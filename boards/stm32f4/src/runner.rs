@@ -145,9 +145,7 @@ impl<C: Peripheral, A: Application> Runner<C, A> {
     /// Refuses a store that was asked for.
     #[cfg(feature = "update")]
     pub(crate) fn refuse_store(&mut self, error: StoreError) {
-        if self.runner.take_store(&[], &mut []).is_some() {
-            self.runner.handle_stored(Err(error));
-        }
+        self.runner.refuse_store(error);
     }
 
     fn take_store(

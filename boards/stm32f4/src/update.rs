@@ -14,7 +14,7 @@ mod program;
 
 pub use objects::Update;
 #[cfg(target_os = "none")]
+pub use program::Steps;
+pub use program_update::program::Confirm;
+#[cfg(target_os = "none")]
 pub(crate) use mailbox::{note_reset, take_in_force};
-
-/// The address of RUN: that of the program's header.
-pub const RUN: u32 = 0x0801_0000;

@@ -338,6 +338,13 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         Some((settings, self.node.write_parameters(persistent, parameters)))
     }
 
+    /// Refuses the store that the node has asked for, if there is one: for a device that cannot store.
+    pub fn refuse_store(&mut self, error: StoreError) {
+        if self.store.take().is_some() {
+            self.handle_stored(Err(error));
+        }
+    }
+
     /// Passes the outcome of a store to the node.
     pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
         self.node.handle_stored(outcome);

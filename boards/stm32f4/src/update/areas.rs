@@ -3,8 +3,10 @@
 use program_update::{Area, Flash, FlashError, crc};
 use stm32f4xx_hal::pac::{CRC, FLASH, RCC};
 
-use super::RUN;
-use crate::{chip::CHIP, supply};
+use crate::{
+    chip::{CHIP, RUN},
+    supply,
+};
 
 const KB: u32 = 1024;
 const COUNT: usize = CHIP.run_sectors() as usize;

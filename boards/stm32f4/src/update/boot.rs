@@ -9,8 +9,12 @@ use cortex_m_rt as _;
 use program_update::start::{self, Cause, Start, Why};
 use stm32f4xx_hal::pac::{FLASH, IWDG, PWR, RCC};
 
-use super::{RUN, areas::Areas, mailbox};
-use crate::{start::restore, supply::Supply};
+use super::{areas::Areas, mailbox};
+use crate::{
+    chip::RUN,
+    start::{comes_in_100_ms, restore},
+    supply::Supply,
+};
 
 /// The program's vector table, behind its header.
 const VECTORS: u32 = RUN + 0x200;
@@ -76,6 +80,7 @@ pub fn start_or_stay(core: &cortex_m::Peripherals) -> Why {
     let mut areas = Areas::new(polls);
     let (start, mailbox) = start::decide(&mut areas, mailbox::read(), cause);
     mailbox::write(&mailbox);
+    wait_for_watchdog();
     match start {
         Start::Program => {
             restore(core, &clocks, &flash);
@@ -109,6 +114,13 @@ fn start_watchdog() {
     }
 }
 
+/// Waits until the watchdog has taken its settings, some periods of its oscillator: it must be left in peace by then.
+fn wait_for_watchdog() {
+    // SAFETY: reading the state has no effect.
+    let watchdog = unsafe { IWDG::steal() };
+    comes_in_100_ms(|| watchdog.sr().read().bits() == 0);
+}
+
 /// Starts the program as a reset would.
 unsafe fn jump() -> ! {
     // SAFETY: the vector table of a valid program.
@@ -127,4 +139,73 @@ unsafe fn jump() -> ! {
             options(noreturn)
         )
     }
+}
+
+/// What the program of a loader has beside its tasks: a panic that resets, and the compiler's memory functions in 100
+/// bytes instead of 1,400.
+#[macro_export]
+macro_rules! loader {
+    () => {
+        #[panic_handler]
+        fn panic(_: &core::panic::PanicInfo) -> ! {
+            cortex_m::peripheral::SCB::sys_reset();
+        }
+
+        core::arch::global_asm!(
+            ".macro function name",
+            ".global \\name",
+            ".type \\name, %function",
+            ".thumb_func",
+            "\\name:",
+            ".endm",
+            ".section .text.memory, \"ax\"",
+            // Destination, source, length.
+            "function memcpy",
+            "function __aeabi_memcpy",
+            "function __aeabi_memcpy4",
+            "function __aeabi_memcpy8",
+            "mov r12, r0",
+            "0: subs r2, #1",
+            "ittt pl",
+            "ldrbpl r3, [r1], #1",
+            "strbpl r3, [r12], #1",
+            "bpl 0b",
+            "bx lr",
+            // Destination, length.
+            "function __aeabi_memclr",
+            "function __aeabi_memclr4",
+            "function __aeabi_memclr8",
+            "movs r2, #0",
+            // Destination, length, value.
+            "function __aeabi_memset",
+            "function __aeabi_memset4",
+            "function __aeabi_memset8",
+            "0: subs r1, #1",
+            "itt pl",
+            "strbpl r2, [r0], #1",
+            "bpl 0b",
+            "bx lr",
+            // Destination, value, length.
+            "function memset",
+            "mov r12, r0",
+            "0: subs r2, #1",
+            "itt pl",
+            "strbpl r1, [r12], #1",
+            "bpl 0b",
+            "bx lr",
+            // Two places, length.
+            "function memcmp",
+            "function bcmp",
+            "push {{r4, lr}}",
+            "mov r4, r0",
+            "movs r0, #0",
+            "0: subs r2, #1",
+            "bmi 1f",
+            "ldrb r3, [r4], #1",
+            "ldrb r12, [r1], #1",
+            "subs r0, r3, r12",
+            "beq 0b",
+            "1: pop {{r4, pc}}",
+        );
+    };
 }

@@ -10,7 +10,10 @@ use canopen_node::{
     sdo,
     settings::Log,
 };
-use cortex_m::{asm, interrupt, peripheral::SCB};
+use cortex_m::{
+    asm,
+    peripheral::{NVIC, SCB},
+};
 use program_update::{
     Action, Command, Expected, Unsigned, Updater, crc, header, start::Why,
 };
@@ -19,7 +22,6 @@ use stm32f4xx_hal::pac::FLASH;
 
 pub use super::boot::start_or_stay;
 use super::{
-    RUN,
     areas::Areas,
     mailbox,
     objects::{code, object},
@@ -27,10 +29,9 @@ use super::{
 use crate::{
     board::Board,
     can::{CanPins, Controller, Peripheral},
-    chip::CHIP,
+    chip::{CHIP, RUN},
     clock,
-    flash::ReadOnly,
-    watchdog::Watchdog,
+    watchdog::{Task, Watchdog},
 };
 
 /// The words that wait for the flash.
@@ -105,12 +106,12 @@ impl canopen_node::Program for Loader {
         _: nmt::State,
         answer: Confirmation,
     ) -> Result<Option<Confirmation>, sdo::Abort> {
-        self.updater.write_control(value, now()).map_err(code)?;
+        self.updater.write_control(value).map_err(code)?;
         Ok(Some(answer))
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), sdo::Abort> {
-        self.updater.write(offset, bytes, now()).map_err(code)
+        self.updater.write(offset, bytes).map_err(code)
     }
 
     fn end(
@@ -118,7 +119,7 @@ impl canopen_node::Program for Loader {
         len: u32,
         answer: Confirmation,
     ) -> Result<Option<Confirmation>, sdo::Abort> {
-        self.updater.end(len, now()).map_err(code)?;
+        self.updater.end(len).map_err(code)?;
         self.answer = Some(answer);
         Ok(None)
     }
@@ -130,6 +131,7 @@ impl canopen_node::Program for Loader {
 
     fn requested(&mut self) {
         self.updater.requested(now());
+        asm::sev();
     }
 
     fn answering(&mut self) {
@@ -155,6 +157,7 @@ impl Board {
         // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
         let flash = unsafe { FLASH::steal() };
         flash.acr().modify(|_, w| w.icen().clear_bit().dcen().clear_bit());
+        enable_flash_interrupt();
         let expected = Expected {
             vendor_id: device.address.vendor_id,
             product_code: device.address.product_code,
@@ -172,14 +175,16 @@ impl Board {
         if let Some(header) = updater.header() {
             device.address.revision_number = header.revision_number;
         }
-        let in_force = mailbox::take_in_force();
-        let stored = Log::open(ReadOnly(self.flash)).0.settings();
+        let settings = match mailbox::take_in_force() {
+            Some(in_force) => {
+                device.heartbeat_ms = in_force.heartbeat_ms;
+                Some(in_force.settings)
+            }
+            None => Log::<_, 0>::peek(self.flash),
+        };
         let owed = (why == Why::Stop).then(Confirmation::of_control);
         let loader = Loader { updater, answer: None, owed, is_answering: false };
-        let mut node = Node::with_application(device, stored, loader);
-        if let Some(in_force) = in_force {
-            node = node.with_in_force(in_force.settings, in_force.heartbeat_ms);
-        }
+        let node = Node::with_application(device, settings, loader);
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
         (Runner::new(node, can, self.alarm), Work { has_reported: false }, self.watchdog)
@@ -187,18 +192,18 @@ impl Board {
 }
 
 impl Work {
-    /// Does the next step, then sleeps if there is none.
+    /// Does the next step, then sleeps until there may be another: what makes one due signals an event.
     pub fn step<C: Peripheral>(&mut self, runner: &mut impl Mutex<T = Runner<C>>) {
-        runner.lock(|runner| self.turn(runner));
-        // An interrupt that comes before the sleep ends it.
-        interrupt::free(|_| {
-            if Areas::is_busy() {
-                asm::wfi();
-            }
-        });
+        Task::STORE.answer();
+        Task::IDLE.answer();
+        let is_busy = runner.lock(|runner| self.turn(runner));
+        if !is_busy || Areas::is_busy() {
+            asm::wfe();
+        }
     }
 
-    fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) {
+    /// Does the next step; returns whether the flash, or the work before it, goes on.
+    fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) -> bool {
         runner.refuse_store(StoreError::MediumAccess);
         let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
         let loader = runner.application_mut();
@@ -230,12 +235,32 @@ impl Work {
             }
             None => {}
         }
+        runner.application_mut().updater.is_busy()
     }
+}
 
-    /// Handles the interrupt of the flash, which ends the sleep.
-    pub fn handle_flash() {
-        Areas::acknowledge();
+/// Handles the interrupt of the flash: the end of an operation.
+extern "C" fn handle_flash() {
+    Areas::acknowledge();
+    asm::sev();
+}
+
+/// Enables the interrupt of the flash, which the list of the chip's interrupts lacks for some chips. The vector table
+/// is in RAM.
+fn enable_flash_interrupt() {
+    /// Its number (RM0090, table 62).
+    const FLASH: usize = 4;
+    // SAFETY: loader.x defines the table. The handler touches nothing but the flag of the interrupt.
+    unsafe {
+        (&raw mut __vector_table).cast::<usize>().add(16 + FLASH).write_volatile(handle_flash as *const () as usize);
+        (*NVIC::PTR).iser[0].write(1 << FLASH);
     }
+}
+
+// SAFETY: only its address is used.
+unsafe extern "C" {
+    /// The vector table of the loader.
+    static mut __vector_table: u32;
 }
 
 /// The emergency error code without a program: software of the user.
