@@ -32,6 +32,8 @@ pub(super) enum Step {
     Saved {
         second: bool,
     },
+    /// Goes on if a SAVED is set.
+    Begin,
     Unsaved {
         second: bool,
     },
@@ -50,6 +52,7 @@ pub(super) enum Step {
     Copy(u32),
     Compare(u32),
     Restored,
+    Leave,
     /// The CRC of a download, from this word on, after which the CRC is this.
     Check {
         word: u32,
@@ -104,27 +107,18 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             }
             Step::Idle => self.write_download()?,
             Step::Saved { second } => {
-                // Of those that are programmed again, one is enough: the other one may have been voided.
-                let is_needed = match self.procedure {
-                    Procedure::Save => true,
-                    Procedure::Restore | Procedure::Clear => {
-                        second && !self.journal.is_set(SAVED[0])
-                    }
-                };
+                let is_needed = self.procedure == Procedure::Save;
                 self.mark(one_of(SAVED, second), SET, is_needed)?;
-                self.step = match self.procedure {
-                    _ if !second => Step::Saved { second: true },
-                    Procedure::Restore => Step::Unkept { second: false },
-                    Procedure::Save => {
-                        self.procedure = Procedure::Clear;
-                        Step::Erase(0)
-                    }
-                    Procedure::Clear => Step::Erase(0),
-                };
+                self.step = if second { Step::Begin } else { Step::Saved { second: true } };
             }
+            Step::Begin => self.begin()?,
             Step::Unsaved { second } => {
                 self.mark(one_of(SAVED, second), VOID, true)?;
-                self.step = if second { Step::Erase(0) } else { Step::Unsaved { second: true } };
+                self.step = match self.procedure {
+                    _ if !second => Step::Unsaved { second: true },
+                    Procedure::Restore => Step::Leave,
+                    Procedure::Save | Procedure::Clear => Step::Erase(0),
+                };
             }
             Step::Unkept { second } => {
                 self.mark(one_of(KEPT, second), VOID, true)?;
@@ -146,20 +140,44 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             },
             Step::Restored => {
                 self.run = self.backup;
+                self.step = if self.clears_then { Step::Idle } else { Step::Leave };
+            }
+            Step::Leave => {
                 self.step = Step::Idle;
-                return Ok((!self.clears_then).then_some(Action::Reset));
+                return Ok(Some(Action::Reset));
             }
             Step::Check { word, crc } => return self.check(word, crc),
             Step::Seal(word) => self.seal(word)?,
             Step::Done => {
                 self.run = self.download.header;
                 self.step = Step::Idle;
+                self.cleared = Cleared::No;
                 let is_waiting = self.download.phase == Phase::Ended;
                 self.download.phase = Phase::None;
                 return Ok(is_waiting.then_some(Action::Answer(Ok(()))));
             }
         }
         Ok(None)
+    }
+
+    fn begin(&mut self) -> Result<(), FlashError> {
+        match self.procedure {
+            Procedure::Restore if self.journal.is_saved() => {
+                self.step = Step::Unkept { second: false };
+            }
+            Procedure::Save | Procedure::Clear if self.journal.is_saved() => {
+                self.procedure = Procedure::Clear;
+                self.step = Step::Erase(0);
+            }
+            _ if self.run.is_none() => return Err(FlashError::Failed),
+            // A clear was cut while it voided them, and RUN is as it was.
+            Procedure::Restore if !self.clears_then => self.step = Step::Unsaved { second: false },
+            _ => {
+                self.clears_then = false;
+                self.begin_clear();
+            }
+        }
+        Ok(())
     }
 
     fn mark(&mut self, word: Word, value: u32, is_needed: bool) -> Result<(), FlashError> {

@@ -109,7 +109,7 @@ fn story(
 #[test]
 fn after_cuts_at_any_two_words_the_old_or_the_new_program_runs() {
     let mut random = Random::from_environment();
-    let step = env::var("STEP").map_or(23, |text| text.parse().expect("a number"));
+    let step = env::var("STEP").map_or(151, |text| text.parse().expect("a number"));
     let mut runs = 0;
     for client in [Client::Retries, Client::Leaves] {
         for trial in [Trial::Confirmed, Trial::Fails] {

@@ -114,6 +114,7 @@ fn a_file_that_is_too_short_or_too_long_is_not_taken() {
         let expected = if len == 0 { Err(Abort::DeviceState) } else { DAMAGED };
         assert_eq!(outcome, expected, "{len} bytes");
         if len > 0 {
+            device.work(&mut loader).expect("power");
             assert_eq!(status(&loader), 8 << 16 | 3 << 1, "{len} bytes");
         }
         clear(&mut device, &mut loader);

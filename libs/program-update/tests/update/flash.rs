@@ -36,8 +36,8 @@ pub struct State {
     pub slow: u32,
     /// An operation that fails, with how.
     pub fault: Option<(Operation, FlashError)>,
-    /// A word that is programmed, but takes no bits.
-    pub stuck: Option<(Area, u32)>,
+    /// Words that are programmed, but take no bits.
+    pub stuck: Vec<(Area, u32)>,
     outcome: Result<(), FlashError>,
 }
 
@@ -61,7 +61,7 @@ impl Chip {
             busy: 0,
             slow: 0,
             fault: None,
-            stuck: None,
+            stuck: Vec::new(),
             outcome: Ok(()),
         })))
     }
@@ -166,7 +166,7 @@ impl Flash for Chip {
         let mut state = self.0.borrow_mut();
         let had_power = state.has_power;
         let is_cut = state.begin(Operation::Program(area, offset))?;
-        if !had_power || state.stuck == Some((area, offset)) {
+        if !had_power || state.stuck.contains(&(area, offset)) {
             return Ok(());
         }
         let partly = state.random.u32();

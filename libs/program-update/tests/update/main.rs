@@ -5,4 +5,6 @@ mod device;
 mod files;
 mod flash;
 mod model;
+mod objects;
 mod program;
+mod program_side;
