@@ -27,6 +27,8 @@ pub struct Chip {
     pub is_selected: bool,
 }
 
+/// The address of RUN, where a program that can be replaced over the bus begins with its header: that of sector 4.
+pub const RUN: u32 = 0x0801_0000;
 /// KB of each sector from 5 on, and of sector 4.
 const LARGE_KB: u32 = 128;
 const SECTOR_4_KB: u32 = 64;

@@ -39,6 +39,8 @@ mod start;
 mod supply;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "update")]
+pub mod update;
 #[cfg(target_os = "none")]
 pub mod watchdog;
 

@@ -7,6 +7,8 @@ use canopen_node::{
     runner::{self, System},
     settings::Log,
 };
+#[cfg(feature = "update")]
+use canopen_node::{Confirmation, sdo::Abort};
 use cortex_m::peripheral::{NVIC, SCB};
 use rtic_core::Mutex;
 
@@ -34,6 +36,8 @@ impl System for Board {
     }
 
     fn reset(&mut self) {
+        #[cfg(feature = "update")]
+        crate::update::note_reset();
         SCB::sys_reset();
     }
 
@@ -106,6 +110,42 @@ impl<C: Peripheral, A: Application> Runner<C, A> {
     /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
     pub fn send_tpdo(&mut self, number: u8) {
         self.runner.send_tpdo(number);
+    }
+
+    /// The node.
+    #[cfg(feature = "update")]
+    pub(crate) fn node(&self) -> &Node<A> {
+        self.runner.node()
+    }
+
+    /// The values of the application, where nothing follows from a change.
+    #[cfg(feature = "update")]
+    pub(crate) fn application_mut(&mut self) -> &mut A {
+        self.runner.node_mut().application_mut()
+    }
+
+    /// Whether every frame of the node has been sent and acknowledged, or dropped.
+    #[cfg(feature = "update")]
+    pub(crate) fn is_idle(&mut self) -> bool {
+        self.runner.is_idle()
+    }
+
+    /// Whether the controller is bus-off.
+    #[cfg(feature = "update")]
+    pub(crate) fn is_bus_off(&self) -> bool {
+        self.runner.is_bus_off()
+    }
+
+    /// Answers an SDO download, as [`Node::answer`] does.
+    #[cfg(feature = "update")]
+    pub(crate) fn answer(&mut self, answer: Confirmation, outcome: Result<(), Abort>) {
+        self.runner.answer(answer, outcome);
+    }
+
+    /// Refuses a store that was asked for.
+    #[cfg(feature = "update")]
+    pub(crate) fn refuse_store(&mut self, error: StoreError) {
+        self.runner.refuse_store(error);
     }
 
     fn take_store(

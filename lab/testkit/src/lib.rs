@@ -41,4 +41,6 @@ pub mod supervised;
 #[cfg(feature = "image")]
 pub mod unmodelled;
 #[cfg(feature = "image")]
+pub mod update;
+#[cfg(feature = "image")]
 pub mod wire;

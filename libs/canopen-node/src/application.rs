@@ -52,7 +52,7 @@ use core::iter;
 use lss_slave::bytes::copy;
 
 use crate::{
-    Confirmation,
+    Program,
     count::{Count, Declares},
     nmt::ErrorBehaviour,
     object_dictionary::{Description, Entry},
@@ -142,9 +142,16 @@ pub trait Application: Dictionary {
     const SETTINGS_BY_SDO: bool = false;
 
     /// Whether the node has the objects of program download (CiA 302-3) 1F50h, 1F51h, 1F56h and 1F57h, and 2001h with the
-    /// state of an update. The data of the program, 1F50h sub-index 1, comes as a [`Domain`] does, to
-    /// [`write_domain`](Self::write_domain) and then [`end_program`](Self::end_program).
+    /// state of an update. [`program`](Self::program) is what they do. They take no code otherwise.
     const PROGRAM_DOWNLOAD: bool = false;
+    /// Whether the node may become NMT operational. A loader stays pre-operational, so that masters see that it is no
+    /// device of their process.
+    const MAY_OPERATE: bool = true;
+
+    /// The program behind the objects of [program download](Self::PROGRAM_DOWNLOAD).
+    fn program(&mut self) -> Option<&mut dyn Program> {
+        None
+    }
 
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.
@@ -207,40 +214,6 @@ pub trait Application: Dictionary {
     fn end_domain(&mut self, index: u16, sub_index: u8, len: u32) -> Result<(), Abort> {
         let _ = (index, sub_index, len);
         Ok(())
-    }
-
-    /// The value of sub-index `sub_index` of 1F51h, 1F56h, 1F57h or 2001h.
-    fn read_program(&mut self, index: u16, sub_index: u8) -> u32 {
-        let _ = (index, sub_index);
-        0
-    }
-
-    /// Carries out program control 1F51h. Returns the `answer`, or keeps it for
-    /// [`Node::answer`](crate::Node::answer).
-    ///
-    /// # Errors
-    /// The abort code for the client.
-    fn control_program(
-        &mut self,
-        value: u8,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
-        let _ = (value, answer);
-        Err(Abort::DeviceState)
-    }
-
-    /// Completes the download of a program of `len` bytes, as [`end_domain`](Self::end_domain) does for others. Returns the
-    /// `answer`, or keeps it for [`Node::answer`](crate::Node::answer).
-    ///
-    /// # Errors
-    /// The abort code for the client.
-    fn end_program(
-        &mut self,
-        len: u32,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
-        let _ = (len, answer);
-        Err(Abort::DeviceState)
     }
 
     /// Discards what a client has written of a [`Domain`]: the transfer was cut short, its CRC or length was wrong, or

@@ -34,7 +34,7 @@ use communication::Communication;
 use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
-pub use program::Confirmation;
+pub use program::{Confirmation, Program};
 pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
@@ -311,6 +311,9 @@ impl<A: Application> Node<A> {
             if let Some(request) = frame.eight_bytes() {
                 // A boot-up may precede the answer.
                 self.slave.note_asked();
+                if A::PROGRAM_DOWNLOAD && let Some(program) = self.product.application.program() {
+                    program.requested();
+                }
                 self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
                 self.agenda.add(Tasks::of(&[Task::Sdo]));
             }

@@ -10,7 +10,7 @@ use super::{
     communication::Communication, program, settings_object,
 };
 use crate::{
-    Device, Frame, Instant,
+    Device, Frame, Instant, Program,
     application::Application,
     emergency::Emergency,
     lss::AddressPart,
@@ -55,7 +55,9 @@ impl<A: Application> Node<A> {
         // A write may concern any of them.
         self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
         self.note_values();
-        self.transmit_by_sdo(answer?)
+        let answer = answer?;
+        self.note_answer();
+        self.transmit_by_sdo(answer)
     }
 
     pub(super) fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
@@ -72,8 +74,8 @@ impl<A: Application> Node<A> {
 
     /// Discards the current SDO transfer without an answer to the client.
     pub(super) fn end_sdo_transfer(&mut self) {
-        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.product.application.abort_domain(*index, *sub_index);
+        if let Some(entry) = self.sdo.domain() {
+            abort_domain(&mut self.product.application, entry);
         }
         self.sdo.end_transfer();
     }
@@ -113,7 +115,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
                 if A::PROGRAM_DOWNLOAD && program::contains(entry.index) {
-                    let value = self.application.read_program(entry.index, entry.sub_index);
+                    let value = self.program()?.read(entry.index, entry.sub_index);
                     return Ok(Content::Number(value));
                 }
                 if !entry.options.is_streamed() {
@@ -176,8 +178,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     ) -> Result<Option<Message>, Abort> {
         if A::PROGRAM_DOWNLOAD && entry.index == program::CONTROL {
             let [value] = *bytes else { return Err(Abort::TooLong) };
-            let confirmation = confirmation_of(entry, confirmation);
-            let answer = self.application.control_program(value, confirmation)?;
+            let (answer, state) = (confirmation_of(entry, confirmation), self.nmt.state());
+            let answer = self.program()?.control(value, state, answer)?;
             return Ok(answer.map(|answer| answer.message));
         }
         if let Object::Application(field) = entry.object {
@@ -253,6 +255,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+            return self.program()?.write(offset, bytes);
+        }
         self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
@@ -266,14 +271,22 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         len: u32,
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
-        let confirmation = confirmation_of(entry, confirmation);
-        let answer = self.application.end_program(len, confirmation)?;
+        let answer = self.program()?.end(len, confirmation_of(entry, confirmation))?;
         Ok(answer.map(|answer| answer.message))
     }
 
     fn abort_domain(&mut self, entry: &Entry) {
-        self.application.abort_domain(entry.index, entry.sub_index);
+        abort_domain(self.application, entry);
     }
+}
+
+/// Discards what a client has written of a domain.
+fn abort_domain<A: Application>(application: &mut A, entry: &Entry) {
+    if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+        application.program().into_iter().for_each(|program| program.abort());
+        return;
+    }
+    application.abort_domain(entry.index, entry.sub_index);
 }
 
 /// The answer to the download of an object, for an application that gives it later.
@@ -282,6 +295,10 @@ const fn confirmation_of(entry: &Entry, message: Message) -> Confirmation {
 }
 
 impl<A: Application> NodeObjects<'_, A> {
+    fn program(&mut self) -> Result<&mut dyn Program, Abort> {
+        self.application.program().ok_or(Abort::DeviceState)
+    }
+
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {

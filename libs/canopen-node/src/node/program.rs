@@ -1,9 +1,11 @@
 //! The objects of program download (CiA 302-3): 1F50h, 1F51h, 1F56h and 1F57h, and the state 2001h of an update, in a
 //! product or loader that turns them on.
 
+use lss_slave::Slave;
+
 use super::{Action, Node};
 use crate::{
-    Application,
+    Application, Device, Settings, nmt,
     object_dictionary::{
         Access::{Const, ReadOnly, ReadWrite, WriteOnly},
         DataType::{Domain, Unsigned8, Unsigned32},
@@ -13,7 +15,7 @@ use crate::{
 };
 
 /// The data of the program.
-const DATA: u16 = 0x1F50;
+pub(super) const DATA: u16 = 0x1F50;
 /// Program control.
 pub(super) const CONTROL: u16 = 0x1F51;
 /// The state of the update.
@@ -60,6 +62,48 @@ pub(super) fn entries() -> impl Iterator<Item = (Entry, Description)> {
     ROWS.iter().map(move |entry| (*entry, describe(entry)))
 }
 
+/// What the objects of program download do: a program that can be replaced, or its loader.
+pub trait Program {
+    /// The value of an object: 1F51h, 1F56h, 1F57h or 2001h.
+    fn read(&mut self, index: u16, sub_index: u8) -> u32;
+
+    /// Carries out program control 1F51h. Returns the `answer`, or keeps it for [`Node::answer`].
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    fn control(
+        &mut self,
+        value: u8,
+        state: nmt::State,
+        answer: Confirmation,
+    ) -> Result<Option<Confirmation>, Abort>;
+
+    /// Takes the next part of a program, 1F50h. The first part has offset 0.
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    fn write(&mut self, _offset: u32, _bytes: &[u8]) -> Result<(), Abort> {
+        Err(Abort::DeviceState)
+    }
+
+    /// Completes a program of `len` bytes. Returns the `answer`, or keeps it for [`Node::answer`].
+    ///
+    /// # Errors
+    /// The abort code for the client.
+    fn end(&mut self, _len: u32, _answer: Confirmation) -> Result<Option<Confirmation>, Abort> {
+        Err(Abort::DeviceState)
+    }
+
+    /// Discards a program that was not completed.
+    fn abort(&mut self) {}
+
+    /// An SDO request has come, whatever it concerns.
+    fn requested(&mut self) {}
+
+    /// An SDO answer is being sent, whatever it concerns.
+    fn answering(&mut self) {}
+}
+
 /// The answer to an SDO download that has not been given yet.
 #[derive(Clone, Copy, Debug)]
 #[must_use]
@@ -69,7 +113,39 @@ pub struct Confirmation {
     pub(crate) message: Message,
 }
 
+impl Confirmation {
+    /// The answer to a write of 1F51h sub-index 1, by a loader to which a program has left it.
+    pub const fn of_control() -> Self {
+        Self { index: CONTROL, sub_index: 1, message: Message::confirmation(CONTROL, 1) }
+    }
+}
+
 impl<A: Application> Node<A> {
+    /// Continues with a node-ID, a bit rate and a heartbeat time in milliseconds that were in force before a restart, in
+    /// place of the stored ones, which stay stored. To be called after [`restore`](Self::restore), before all others.
+    #[must_use]
+    pub fn with_in_force(mut self, settings: Settings, heartbeat_ms: u16) -> Self {
+        self.nmt.configure(heartbeat_ms, self.nmt.error_behaviour());
+        let Device { address, bit_rates, rescue, .. } = self.product.device;
+        self.slave = Slave::new(address, bit_rates, settings);
+        if rescue {
+            self.slave = self.slave.with_rescue();
+        }
+        self
+    }
+
+    /// Informs the program that an SDO answer is being sent.
+    pub(super) fn note_answer(&mut self) {
+        if A::PROGRAM_DOWNLOAD && let Some(program) = self.product.application.program() {
+            program.answering();
+        }
+    }
+
+    /// The producer heartbeat time 1017h in force, in milliseconds.
+    pub const fn heartbeat_ms(&self) -> u16 {
+        self.nmt.heartbeat_ms()
+    }
+
     /// Answers an SDO download that the application has taken: it is done, or has failed. The answer is lost if the NMT
     /// state has changed to one without SDO since.
     #[must_use = "an action that is not carried out is lost"]
@@ -81,6 +157,7 @@ impl<A: Application> Node<A> {
         if !self.serves_sdo() {
             return None;
         }
+        self.note_answer();
         let Confirmation { index, sub_index, message } = confirmation;
         self.transmit_by_sdo(match outcome {
             Ok(()) => message,
