@@ -5,7 +5,7 @@ use std::{cell::RefCell, iter, rc::Rc};
 
 use canopen_node::{
     Application, Confirmation, Count,
-    application::{Dictionary, Event, longest},
+    application::{Dictionary, longest},
     nmt,
     object_dictionary::{Description, Entry},
     sdo::Abort,
@@ -176,7 +176,6 @@ pub struct State {
     side: Side,
     mailbox: Option<Mailbox>,
     now: u64,
-    is_pre_operational: bool,
     /// For the end of a download.
     confirmation: Option<Confirmation>,
     is_asked: bool,
@@ -203,7 +202,6 @@ impl Board {
             side: Side::Off,
             mailbox: None,
             now: 0,
-            is_pre_operational: false,
             confirmation: None,
             is_asked: false,
             reset: None,
@@ -230,7 +228,7 @@ impl State {
         self.mailbox = Some(mailbox);
         let now = self.now as u32;
         (self.confirmation, self.is_asked, self.reset) = (None, false, None);
-        (self.is_pre_operational, self.hangs) = (true, false);
+        self.hangs = false;
         self.owes_answer = start == Start::Loader(Why::Stop);
         self.side = match start {
             Start::Program => {
@@ -309,27 +307,29 @@ impl State {
         deeds
     }
 
-    fn control(&mut self, value: u8) -> Result<bool, program_update::Abort> {
+    fn control(
+        &mut self,
+        value: u8,
+        is_pre_operational: bool,
+    ) -> Result<bool, program_update::Abort> {
         let kind = self.kind();
         match &mut self.side {
             Side::Off => {}
             Side::Loader(updater) => updater.write_control(value)?,
-            Side::Program(program) => {
-                match program.write_control(value, self.is_pre_operational)? {
-                    Control::Answer => {}
-                    Control::Reset => self.reset = Some((self.now + 10_000, Cause::Other)),
-                    Control::Confirm if kind == Kind::RefusesConfirmation as u32 => {
-                        return Err(program_update::Abort::Hardware);
-                    }
-                    Control::Confirm => program.confirm(&mut ChipFlash(Rc::clone(&self.chip)))?,
-                    Control::Stop => {
-                        let mailbox = self.mailbox.unwrap_or_default();
-                        self.mailbox = Some(Mailbox { command: Command::Stop, ..mailbox });
-                        self.reset = Some((self.now, Cause::Other));
-                        return Ok(false);
-                    }
+            Side::Program(program) => match program.write_control(value, is_pre_operational)? {
+                Control::Answer => {}
+                Control::Reset => self.reset = Some((self.now + 10_000, Cause::Other)),
+                Control::Confirm if kind == Kind::RefusesConfirmation as u32 => {
+                    return Err(program_update::Abort::Hardware);
                 }
-            }
+                Control::Confirm => program.confirm(&mut ChipFlash(Rc::clone(&self.chip)))?,
+                Control::Stop => {
+                    let mailbox = self.mailbox.unwrap_or_default();
+                    self.mailbox = Some(Mailbox { command: Command::Stop, ..mailbox });
+                    self.reset = Some((self.now, Cause::Other));
+                    return Ok(false);
+                }
+            },
         }
         Ok(true)
     }
@@ -375,13 +375,13 @@ impl Dictionary for Board {
 impl Application for Board {
     const PROGRAM_DOWNLOAD: bool = true;
 
-    fn handle(&mut self, event: Event) {
-        if let Event::Nmt(state) = event {
-            self.0.borrow_mut().is_pre_operational = state == nmt::State::PreOperational;
-        }
+    fn program(&mut self) -> Option<&mut dyn canopen_node::Program> {
+        Some(self)
     }
+}
 
-    fn read_program(&mut self, index: u16, sub_index: u8) -> u32 {
+impl canopen_node::Program for Board {
+    fn read(&mut self, index: u16, sub_index: u8) -> u32 {
         let object = match (index, sub_index) {
             (0x1F51, _) => Object::Control,
             (0x1F56, _) => Object::Software,
@@ -389,40 +389,32 @@ impl Application for Board {
             (_, 1) => Object::State,
             _ => Object::Starts,
         };
-        let mut state = self.0.borrow_mut();
-        state.is_asked = true;
-        match &state.side {
+        match &self.0.borrow().side {
             Side::Off => 0,
             Side::Loader(updater) => updater.read(object),
             Side::Program(program) => program.read(object),
         }
     }
 
-    fn control_program(
+    fn control(
         &mut self,
         value: u8,
+        nmt: nmt::State,
         answer: Confirmation,
     ) -> Result<Option<Confirmation>, Abort> {
-        let mut state = self.0.borrow_mut();
-        state.is_asked = true;
-        let answers = state.control(value).map_err(abort)?;
-        Ok(answers.then_some(answer))
+        let is_pre_operational = nmt == nmt::State::PreOperational;
+        let outcome = self.0.borrow_mut().control(value, is_pre_operational);
+        Ok(outcome.map_err(abort)?.then_some(answer))
     }
 
-    fn write_domain(&mut self, _: u16, _: u8, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
-        let mut state = self.0.borrow_mut();
-        state.is_asked = true;
-        match &mut state.side {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        match &mut self.0.borrow_mut().side {
             Side::Loader(updater) => updater.write(offset, bytes).map_err(abort),
             _ => Err(Abort::DeviceState),
         }
     }
 
-    fn end_program(
-        &mut self,
-        len: u32,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
+    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, Abort> {
         let mut state = self.0.borrow_mut();
         let Side::Loader(updater) = &mut state.side else { return Err(Abort::DeviceState) };
         updater.end(len).map_err(abort)?;
@@ -430,9 +422,13 @@ impl Application for Board {
         Ok(None)
     }
 
-    fn abort_domain(&mut self, _: u16, _: u8) {
+    fn abort(&mut self) {
         if let Side::Loader(updater) = &mut self.0.borrow_mut().side {
             updater.abort();
         }
+    }
+
+    fn requested(&mut self) {
+        self.0.borrow_mut().is_asked = true;
     }
 }
