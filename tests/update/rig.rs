@@ -6,7 +6,7 @@ use canopen_node::{BitRate, Device};
 use emulator::{
     Time,
     board::{self, Board},
-    chip::Part,
+    chip::{Part, ResetCause},
     image::Image,
 };
 use firmware::device::DEVICE;
@@ -102,6 +102,7 @@ impl Rig {
 
     /// Hands over to the loader and has it clear the program.
     pub fn stop_and_clear(&mut self) {
+        self.0.network.allow_reset(0, ResetCause::Software);
         assert_eq!(self.control(0), Ok(()));
         assert_eq!(self.number(0x1F51, 1), 0);
         self.clear();
@@ -127,6 +128,7 @@ impl Rig {
 
     /// Starts the program, and waits for its boot-up.
     pub fn start(&mut self) {
+        self.0.network.allow_reset(0, ResetCause::Software);
         assert_eq!(self.control(1), Ok(()));
         self.0.expect("705: 00", Time::from_s(1));
     }

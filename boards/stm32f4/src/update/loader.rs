@@ -35,7 +35,7 @@ use crate::{
 };
 
 /// The words that wait for the flash.
-const RING: usize = 2048;
+const RING: usize = 1024;
 
 type State = Updater<Areas, Unsigned, RING>;
 
