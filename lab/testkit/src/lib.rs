@@ -13,6 +13,8 @@ pub mod explain;
 pub mod flash;
 pub mod frames;
 #[cfg(feature = "image")]
+pub mod hex;
+#[cfg(feature = "image")]
 pub mod image;
 #[cfg(feature = "image")]
 pub mod image_rig;

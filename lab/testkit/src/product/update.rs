@@ -2,21 +2,34 @@
 
 use std::io;
 
-/// The program of the loader, in the template and in the product.
-const LOADER: (&str, &str) = ("template/update/loader.rs", "src/loader.rs");
+/// `cargo update-file`, with the gaps of a template.
+pub(super) const UPDATE_FILE: &str = "examples/update_file.rs";
+
+/// The files in the template and in the product.
+pub(super) const FILES: [(&str, &str); 2] = [
+    ("template/update/loader.rs", "src/loader.rs"),
+    ("template/update/update_file.rs", UPDATE_FILE),
+];
 
 /// A file of the product, a text in it, and the text in its place.
 type Change = (&'static str, &'static str, &'static str);
 
 /// The changes of the files of a product.
 pub(super) const CHANGES: &[Change] = &[
+    (
+        ".cargo/config.toml",
+        "eds = \"run --example eds\"\n",
+        "eds = \"run --example eds\"\nupdate-file = \"run --quiet --example update_file --\"\n",
+    ),
+    (
+        "README.md",
+        "| `cargo eds` |",
+        "| `cargo update-file` | writes loader, program and update file into `target/update`; `lss update` of the firmware's \
+         repository installs it over the bus |\n| `cargo eds` |",
+    ),
     ("memory.x", "boards/stm32f4/image.x", "boards/stm32f4/program.x"),
     ("memory.x", "INCLUDE image.x", "INCLUDE program.x"),
-    (
-        "Cargo.toml",
-        "canopen-stm32f4 = { ",
-        "canopen-stm32f4 = { features = [\"update\"], ",
-    ),
+    ("Cargo.toml", "canopen-stm32f4 = { ", "canopen-stm32f4 = { features = [\"update\"], "),
     (
         "Cargo.toml",
         "[[bin]]\nname = \"flash\"",
@@ -58,11 +71,7 @@ pub(super) const CHANGES: &[Change] = &[
          impl Application {\n    /// What program control does.\n    \
          pub const fn update(&mut self) -> &mut Update {\n        &mut self.update\n    }\n}",
     ),
-    (
-        "src/main.rs",
-        "board, watchdog::Task}",
-        "board, update::{Confirm, Steps}, watchdog::Task}",
-    ),
+    ("src/main.rs", "board, watchdog::Task}", "board, update::{Confirm, Steps}, watchdog::Task}"),
     (
         "src/main.rs",
         "        watchdog: Watchdog,\n    }",
@@ -95,7 +104,8 @@ pub(super) fn add(
         let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
         file.1 = file.1.replacen(from, to, 1);
     }
-    let (template, path) = LOADER;
-    files.push((path, read(template)?));
+    for (template, path) in FILES {
+        files.push((path, read(template)?));
+    }
     Ok(())
 }

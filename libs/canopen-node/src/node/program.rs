@@ -136,7 +136,9 @@ impl<A: Application> Node<A> {
 
     /// Informs the program that an SDO answer is being sent.
     pub(super) fn note_answer(&mut self) {
-        if A::PROGRAM_DOWNLOAD && let Some(program) = self.product.application.program() {
+        if A::PROGRAM_DOWNLOAD
+            && let Some(program) = self.product.application.program()
+        {
             program.answering();
         }
     }

@@ -3,6 +3,7 @@
 mod board;
 mod fleet;
 mod interrupted;
+mod program;
 
 use canopen_node::{BitRate, Frame};
 use program_update::{FlashError, Header, Release, header::text};
@@ -10,8 +11,8 @@ use serde_json::Value;
 use testkit::node_rig::{ADDRESS, device};
 
 use crate::in_process::Wire;
-use board::{Kind, RUN, file_of, file_with};
 use fleet::{Fleet, crc_of, new, old, write};
+use program::{Kind, RUN, file_of, file_with};
 
 /// Whether a frame is a request to write 1F51h.
 fn is_control(frame: &Frame, value: u8) -> bool {

@@ -1,6 +1,8 @@
 //! A board whose program can be replaced: a node with the objects of program download, over `program_update` as loader
 //! and as program, on a flash in the process.
 
+mod chip;
+
 use std::{cell::RefCell, iter, rc::Rc};
 
 use canopen_node::{
@@ -11,68 +13,20 @@ use canopen_node::{
     sdo::Abort,
 };
 use program_update::{
-    Action, Area, Command, Expected, Flash, FlashError, Header, Mailbox, Object, Release, Unsigned,
-    Updater, crc,
+    Action, Command, Expected, Mailbox, Object, Unsigned, Updater, crc,
     header::{HEADER_LEN, text},
     program::{Confirm, Control, Program, Wanted},
     start::{self, Cause, Start, Why},
 };
 use testkit::node_rig::ADDRESS;
 
-/// The address of RUN.
-pub const RUN: u32 = 0x0801_0000;
-/// The sectors of RUN and of BACKUP.
-const SECTORS: [u32; 2] = [0x2000, 0x2000];
-/// The time of an erase in microseconds.
-const ERASE: u64 = 100_000;
+use super::program::{Kind, RUN};
+use chip::{Chip, ChipFlash, SECTORS};
+
 /// The time from the start of a program that hangs to the reset by its watchdog, in microseconds.
 const WATCHDOG: u64 = 1_400_000;
 /// More steps than the loader takes between two looks at it.
 const STEPS: usize = 10_000;
-
-/// What a program does; it is its third word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    Good = 0,
-    /// Its watchdog resets it.
-    Hangs = 1,
-    /// It does not accept the confirmation.
-    RefusesConfirmation = 2,
-}
-
-/// A file with a program of `len` bytes, whose header `change` changes.
-pub fn file_with(
-    version: &str,
-    kind: Kind,
-    len: usize,
-    change: impl FnOnce(&mut Header),
-) -> Vec<u8> {
-    let words = [0x2000_1000, RUN + 0x200 + 0x11, kind as u32];
-    let mut program: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
-    program.extend(version.bytes().cycle().take(len - program.len()));
-    file_of(&program, version, change)
-}
-
-/// A file with this program.
-pub fn file_of(program: &[u8], version: &str, change: impl FnOnce(&mut Header)) -> Vec<u8> {
-    let mut header = Header {
-        length: program.len() as u32,
-        crc: crc::of(program),
-        vendor_id: ADDRESS.vendor_id,
-        product_code: ADDRESS.product_code,
-        revision_number: ADDRESS.revision_number,
-        release: Release::new(1, 2, 0).expect("a release"),
-        chip: text("stm32f405"),
-        hardware: crc::of(b"A"),
-        address: RUN,
-        controller: 1,
-        version: text(version),
-        sha256: [0xFF; 32],
-        signature: [0xFF; 64],
-    };
-    change(&mut header);
-    [&header.to_bytes()[..], program].concat()
-}
 
 /// What the loader of these boards takes.
 fn expected() -> Expected {
@@ -86,74 +40,6 @@ fn expected() -> Expected {
         capacity: SECTORS.iter().sum::<u32>() - HEADER_LEN as u32,
         ram: 0x2000_0000..0x2002_0000,
         allows_downgrade: false,
-    }
-}
-
-/// The flash.
-pub struct Chip {
-    run: Vec<u8>,
-    backup: Vec<u8>,
-    now: u64,
-    ready_at: u64,
-    end: Option<Result<(), FlashError>>,
-    /// The sectors that were erased so far.
-    pub erases: usize,
-    /// What each operation ends with.
-    pub fault: Option<FlashError>,
-}
-
-#[derive(Clone)]
-struct ChipFlash(Rc<RefCell<Chip>>);
-
-impl Chip {
-    fn area(&mut self, area: Area) -> &mut [u8] {
-        match area {
-            Area::Run => &mut self.run,
-            Area::Backup => &mut self.backup,
-        }
-    }
-
-    fn begin(&mut self, us: u64) -> bool {
-        assert!(self.end.is_none(), "one operation at a time");
-        self.ready_at = self.now + us;
-        self.end = Some(self.fault.map_or(Ok(()), Err));
-        self.fault.is_none()
-    }
-}
-
-impl Flash for ChipFlash {
-    fn sectors(&self, _: Area) -> &'static [u32] {
-        &SECTORS
-    }
-
-    fn read(&mut self, area: Area, offset: u32) -> u32 {
-        let mut chip = self.0.borrow_mut();
-        let word = chip.area(area)[offset as usize..].first_chunk().expect("it is within the area");
-        u32::from_le_bytes(*word)
-    }
-
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
-        let mut chip = self.0.borrow_mut();
-        if chip.begin(0) {
-            let cells = chip.area(area)[offset as usize..].iter_mut();
-            cells.zip(word.to_le_bytes()).for_each(|(cell, byte)| *cell &= byte);
-        }
-        Ok(())
-    }
-
-    fn erase(&mut self, area: Area, sector: usize) -> Result<(), FlashError> {
-        let mut chip = self.0.borrow_mut();
-        if chip.begin(ERASE) {
-            chip.erases += 1;
-            let start: u32 = SECTORS[..sector].iter().sum();
-            chip.area(area)[start as usize..][..SECTORS[sector] as usize].fill(0xFF);
-        }
-        Ok(())
-    }
-
-    fn poll(&mut self) -> Option<Result<(), FlashError>> {
-        let mut chip = self.0.borrow_mut();
-        if chip.now < chip.ready_at { None } else { chip.end.take() }
     }
 }
 
@@ -193,12 +79,8 @@ pub struct Board(pub Rc<RefCell<State>>);
 impl Board {
     /// A board with the program in this file.
     pub fn new(file: &[u8]) -> Self {
-        let mut run = vec![0xFF; SECTORS.iter().sum::<u32>() as usize];
-        let backup = run.clone();
-        run[..file.len()].copy_from_slice(file);
-        let chip = Chip { run, backup, now: 0, ready_at: 0, end: None, erases: 0, fault: None };
         let mut state = State {
-            chip: Rc::new(RefCell::new(chip)),
+            chip: Rc::new(RefCell::new(Chip::new(file))),
             side: Side::Off,
             mailbox: None,
             now: 0,
@@ -217,8 +99,7 @@ impl State {
     /// Takes the power away.
     pub fn power_off(&mut self) {
         (self.side, self.mailbox) = (Side::Off, None);
-        let mut chip = self.chip.borrow_mut();
-        (chip.end, chip.ready_at) = (None, 0);
+        self.chip.borrow_mut().power_off();
     }
 
     /// Starts the loader or the program.
@@ -259,14 +140,13 @@ impl State {
     }
 
     fn kind(&self) -> u32 {
-        let chip = self.chip.borrow();
-        chip.run[HEADER_LEN + 8..].first_chunk().copied().map_or(0, u32::from_le_bytes)
+        self.chip.borrow().word(HEADER_LEN + 8)
     }
 
     /// Does what is due.
     pub fn poll(&mut self, now: u64) -> Vec<Deed> {
         self.now = now;
-        self.chip.borrow_mut().now = now;
+        self.chip.borrow_mut().pass_until(now);
         let micros = now as u32;
         let mut deeds = Vec::new();
         match &mut self.side {
@@ -286,7 +166,7 @@ impl State {
                             deeds.push(Deed::Reset(Cause::Other));
                             break;
                         }
-                        None if !updater.is_busy() || self.chip.borrow().ready_at > now => break,
+                        None if !updater.is_busy() || self.chip.borrow().is_busy() => break,
                         None => {}
                     }
                 }

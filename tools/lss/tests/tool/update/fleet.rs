@@ -27,7 +27,10 @@ use testkit::{
     slave_bus::{BusAdapter, Habits, Happening, SlaveBus},
 };
 
-use super::board::{Board, Deed, Kind, State, file_with};
+use super::{
+    board::{Board, Deed, State},
+    program::{Kind, file_with},
+};
 use crate::emulated::{Outcome, run};
 
 /// The bit rate of these networks.
