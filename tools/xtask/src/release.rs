@@ -4,6 +4,8 @@ mod elsewhere;
 mod image;
 mod update;
 
+pub(crate) use image::read_hex;
+
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -32,9 +34,9 @@ use crate::{eds, size};
 ///
 ///   factory.hex              loader and program, for a board that has none
 ///   loader.hex               the loader alone
-///   lss-slave.update.bin     the program, for `lss update` and other clients
+///   lss-node.update.bin      the program, for `lss update` and other clients
 ///   lely.yml                 the two lines of it for the master of Lely
-///   lss-slave.eds, SHA256SUMS
+///   lss-node.eds, SHA256SUMS
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {

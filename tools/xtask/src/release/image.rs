@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use emulator::{chip::FLASH_BASE, image::Image};
 use ihex::{Reader, Record};
 use testkit::{
@@ -66,7 +66,7 @@ fn parts(image: &Image) -> anyhow::Result<Vec<Part>> {
 }
 
 /// The bytes of a HEX file, by address.
-fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
+pub fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
     let mut bytes = BTreeMap::new();
     let mut upper = 0;
     for record in Reader::new(text) {
@@ -113,7 +113,8 @@ mod tests {
     fn a_hex_file_reads_back_as_what_was_written() {
         let bytes: Vec<u8> = (0..=255).cycle().take(0x1_2345).collect();
         let parts = [(VECTORS, vec![7; 3]), (CODE + 5, bytes)];
-        let text = hex(&parts).expect("valid");
+        let borrowed = parts.each_ref().map(|(address, bytes)| (*address, &bytes[..]));
+        let text = hex::file(&borrowed);
         assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
         let read = read_hex(&text).expect("valid");
         assert_eq!(read.len(), 3 + 0x1_2345);

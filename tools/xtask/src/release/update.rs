@@ -9,7 +9,8 @@ use testkit::{cargo::workspace, product::Product};
 use super::{Arguments, write_with_sums};
 use crate::tool;
 
-const NAME: &str = "lss-slave";
+/// The name of the product, which must not be that of a library.
+const NAME: &str = "lss-node";
 
 /// Makes the product, and takes the files that its commands write.
 pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
@@ -25,7 +26,8 @@ pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     let out = product.join("target/update");
     run(&["update-file", &out.display().to_string()])?;
     run(&["eds"])?;
-    fs::rename(product.join("lss-slave.eds"), out.join("lss-slave.eds"))
+    let sheet = format!("{NAME}.eds");
+    fs::rename(product.join(&sheet), out.join(&sheet))
         .context("the data sheet")?;
     let mut files = Vec::new();
     for entry in fs::read_dir(&out)? {
