@@ -4,8 +4,6 @@ mod elsewhere;
 mod image;
 mod update;
 
-pub(crate) use image::read_hex;
-
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -17,6 +15,7 @@ use sha2::{Digest, Sha256};
 use testkit::cargo::workspace;
 
 use crate::{eds, size};
+pub(crate) use image::read_hex;
 
 /// Write the files of a release, a folder for each chip
 ///

@@ -19,7 +19,8 @@ pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     Product { name: NAME, chip, controller: 1, git, folder, has_update: true }.write()?;
     let run = |command: &[&str]| {
         let mut cargo = Command::new("cargo");
-        // What is built there already need not be built again.
+        // What is built there already need not be built again, so it is built with the same settings.
+        cargo.args(["--config", "profile.dev.package.\"*\".debug=false"]);
         cargo.args(command).env("CARGO_TARGET_DIR", workspace().join("target"));
         tool::run(cargo.current_dir(&product), "the product does not build")
     };
@@ -27,8 +28,7 @@ pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     run(&["update-file", &out.display().to_string()])?;
     run(&["eds"])?;
     let sheet = format!("{NAME}.eds");
-    fs::rename(product.join(&sheet), out.join(&sheet))
-        .context("the data sheet")?;
+    fs::rename(product.join(&sheet), out.join(&sheet)).context("the data sheet")?;
     let mut files = Vec::new();
     for entry in fs::read_dir(&out)? {
         let path = entry?.path();
