@@ -1,4 +1,7 @@
 //! Tests of a product whose program can be replaced over the bus: loader and program on an emulated board.
 
+mod bad_programs;
 mod install;
+mod master;
+mod power_cut;
 mod rig;
