@@ -38,7 +38,11 @@ fn fails(program: &Image, limit: Time) {
     rig.0.network.run_for(limit);
     rig.revive();
     assert_eq!(rig.version(), "0.1.0");
-    assert_eq!((rig.number(0x2001, 1), rig.number(0x2001, 2)), (4, 3), "restored after three starts");
+    assert_eq!(
+        (rig.number(0x2001, 1), rig.number(0x2001, 2)),
+        (4, 3),
+        "restored after three starts"
+    );
     // To start it, three failures, and the end of the restore.
     assert_eq!(rig.0.network.board(0).resets().len() - resets, 5);
     rig.check_settings();
@@ -60,7 +64,9 @@ fn a_program_that_faults_has_three_starts_then_the_old_one_is_back() {
 #[test]
 fn a_program_that_never_feeds_the_watchdog_has_three_starts_then_the_old_one_is_back() {
     // The key that feeds it, 0xAAAA, in a MOVW.
-    let is_key = |code: &[u8]| code[0] == 0x4A && code[1] == 0xF6 && code[2] == 0xAA && code[3] & 0xF0 == 0x20;
+    let is_key = |code: &[u8]| {
+        code[0] == 0x4A && code[1] == 0xF6 && code[2] == 0xAA && code[3] & 0xF0 == 0x20
+    };
     let program = patched(&program("0.2.0"), |_, bytes| {
         for at in (0..bytes.len().saturating_sub(3)).step_by(2) {
             if is_key(&bytes[at..at + 4]) {

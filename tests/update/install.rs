@@ -20,7 +20,11 @@ fn a_new_program_is_installed_by_segments_and_by_blocks() {
         };
         assert_eq!(outcome, Ok(()), "status {:X}", rig.number(0x1F57, 1));
         assert_eq!(rig.number(0x1F57, 1), 0);
-        assert_eq!(rig.0.network.board(0).flash_stalls(), stalls, "the loader has waited for the flash");
+        assert_eq!(
+            rig.0.network.board(0).flash_stalls(),
+            stalls,
+            "the loader has waited for the flash"
+        );
         rig.start();
         assert_eq!((rig.version().as_str(), rig.number(0x2001, 1)), (version, 2));
         assert_eq!(rig.control(0x80), Ok(()));

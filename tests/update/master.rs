@@ -5,8 +5,6 @@ use emulator::Time;
 
 use super::rig::{NODE, Rig};
 
-/// The time-out for an answer.
-const PATIENCE: Time = Time::from_ms(500);
 /// The time within which the old or the new program must answer after the power has returned.
 const REVIVAL: Time = Time::from_s(10);
 
@@ -23,7 +21,7 @@ impl Rig {
 
     fn answer(&mut self) -> Result<[u8; 8], Silence> {
         let is_answer = |frame: &Frame| frame.cob_id() == 0x580 + u16::from(NODE);
-        let (_, frame) = self.0.wait_for(PATIENCE, is_answer).ok_or(Silence)?;
+        let (_, frame) = self.0.wait_for(self.1, is_answer).ok_or(Silence)?;
         Ok(*frame.eight_bytes().expect("eight bytes"))
     }
 
@@ -90,7 +88,7 @@ impl Rig {
         mark(self);
         assert!(self.try_control(1)?);
         let boot_up = Frame::new(0x700 + u16::from(NODE), &[0]).expect("a byte");
-        self.0.wait_for(PATIENCE, |frame| *frame == boot_up).ok_or(Silence)?;
+        self.0.wait_for(Time::from_ms(500), |frame| *frame == boot_up).ok_or(Silence)?;
         mark(self);
         assert!(self.try_control(0x80)?);
         mark(self);

@@ -8,6 +8,8 @@ use stm32f4xx_hal::{
     time::Hertz,
 };
 
+#[cfg(feature = "update")]
+use crate::update;
 use crate::{
     can::{CanPins, Controller, Peripheral},
     chip::{APB1_HZ, SYSCLK_HZ, UNIQUE_ID},
@@ -20,8 +22,6 @@ use crate::{
     supply::Supply,
     watchdog::{self, Watchdog},
 };
-#[cfg(feature = "update")]
-use crate::update;
 
 /// The peripherals that the board uses. All others are the product's.
 pub struct Peripherals {

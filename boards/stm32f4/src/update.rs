@@ -12,9 +12,9 @@ mod objects;
 #[cfg(target_os = "none")]
 mod program;
 
+#[cfg(target_os = "none")]
+pub(crate) use mailbox::{note_reset, take_in_force};
 pub use objects::Update;
 #[cfg(target_os = "none")]
 pub use program::Steps;
 pub use program_update::program::Confirm;
-#[cfg(target_os = "none")]
-pub(crate) use mailbox::{note_reset, take_in_force};

@@ -48,8 +48,7 @@ pub fn build_changed(
     changes: &[(&str, &str, &str)],
 ) -> anyhow::Result<Vec<u8>> {
     let folder = workspace().join("target/products").join(name);
-    let product =
-        Product { name, chip, controller, git: None, folder: &folder, has_update: false };
+    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: false };
     let mut files = product.files()?;
     for (path, from, to) in changes {
         let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
@@ -125,9 +124,8 @@ impl Product<'_> {
             update::add(&mut files, read)?;
         }
         let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
-        let fill = |text: String, (word, with): &(&str, String)| {
-            text.replace(&format!("@{word}@"), with)
-        };
+        let fill =
+            |text: String, (word, with): &(&str, String)| text.replace(&format!("@{word}@"), with);
         for (path, content) in &mut files {
             let text = mem::take(content);
             *content = match () {
@@ -217,7 +215,8 @@ mod tests {
         git: Option<&str>,
         folder: &Path,
     ) -> Vec<(&'static str, String)> {
-        let product = Product { name: "door-lock", chip, controller, git, folder, has_update: false };
+        let product =
+            Product { name: "door-lock", chip, controller, git, folder, has_update: false };
         product.files().expect("this repository has what a product needs")
     }
 
@@ -243,8 +242,14 @@ mod tests {
     #[test]
     fn the_words_of_the_firmware_that_a_product_has_others_for_are_in_it() {
         let folder = Path::new("/products/door-lock");
-        let product =
-            Product { name: "door-lock", chip: Part::Stm32f446, controller: 2, git: None, folder, has_update: false };
+        let product = Product {
+            name: "door-lock",
+            chip: Part::Stm32f446,
+            controller: 2,
+            git: None,
+            folder,
+            has_update: false,
+        };
         let read = |path| fs::read_to_string(workspace().join(path)).expect("a file");
         let firmware: String = OF_FIRMWARE.into_iter().map(read).collect();
         let files = product.files().expect("this repository has what a product needs");

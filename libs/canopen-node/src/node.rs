@@ -311,7 +311,9 @@ impl<A: Application> Node<A> {
             if let Some(request) = frame.eight_bytes() {
                 // A boot-up may precede the answer.
                 self.slave.note_asked();
-                if A::PROGRAM_DOWNLOAD && let Some(program) = self.product.application.program() {
+                if A::PROGRAM_DOWNLOAD
+                    && let Some(program) = self.product.application.program()
+                {
                     program.requested();
                 }
                 self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());

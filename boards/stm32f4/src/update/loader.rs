@@ -3,9 +3,10 @@
 use core::mem::MaybeUninit;
 
 use canopen_node::{
-    Application, Confirmation, Count, Device, Instant, Node, nmt,
+    Application, Confirmation, Count, Device, Instant, Node,
     application::Dictionary,
     lss::StoreError,
+    nmt,
     object_dictionary::{Description, Entry},
     sdo,
     settings::Log,
@@ -14,9 +15,7 @@ use cortex_m::{
     asm,
     peripheral::{NVIC, SCB},
 };
-use program_update::{
-    Action, Command, Expected, Unsigned, Updater, crc, header, start::Why,
-};
+use program_update::{Action, Command, Expected, Unsigned, Updater, crc, header, start::Why};
 use rtic_core::Mutex;
 use stm32f4xx_hal::pac::FLASH;
 
@@ -124,11 +123,7 @@ impl canopen_node::Program for Loader {
         self.updater.write(offset, bytes).map_err(code)
     }
 
-    fn end(
-        &mut self,
-        len: u32,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, sdo::Abort> {
+    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, sdo::Abort> {
         self.updater.end(len).map_err(code)?;
         self.answer = Some(answer);
         Ok(None)
@@ -204,8 +199,7 @@ impl Board {
             ram: 0x2000_0000..0x2000_0000 + CHIP.ram_kb * 1024,
             allows_downgrade: true,
         };
-        let updater =
-            place.write(Updater::new(Areas::new(now), Unsigned, expected, why, now()));
+        let updater = place.write(Updater::new(Areas::new(now), Unsigned, expected, why, now()));
         let mut device = device.with_rescue(false);
         if let Some(header) = updater.header() {
             device.address.revision_number = header.revision_number;
@@ -218,7 +212,14 @@ impl Board {
             None => Log::<_, 0>::peek(self.flash),
         };
         let owed = (why == Why::Stop).then(Confirmation::of_control);
-        let loader = Loader { updater, answer: None, owed, is_answering: false, granted: BLOCK_SIZE, held_since: None };
+        let loader = Loader {
+            updater,
+            answer: None,
+            owed,
+            is_answering: false,
+            granted: BLOCK_SIZE,
+            held_since: None,
+        };
         let node = Node::with_application(device, settings, loader);
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
@@ -291,7 +292,10 @@ fn enable_flash_interrupt() {
     const FLASH: usize = 4;
     // SAFETY: loader.x defines the table. The handler touches nothing but the flag of the interrupt.
     unsafe {
-        (&raw mut __vector_table).cast::<usize>().add(16 + FLASH).write_volatile(handle_flash as *const () as usize);
+        (&raw mut __vector_table)
+            .cast::<usize>()
+            .add(16 + FLASH)
+            .write_volatile(handle_flash as *const () as usize);
         (*NVIC::PTR).iser[0].write(1 << FLASH);
     }
 }

@@ -30,8 +30,7 @@ pub fn take_in_force() -> Option<InForce> {
     write(&Mailbox { kbit: 0, node_id: 0, heartbeat_ms: 0, ..mailbox });
     let Mailbox { node_id, heartbeat_ms, kbit, .. } = mailbox;
     let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit)?;
-    let settings =
-        Settings::new(BitRateSetting::Fixed(rate)).with_node_id(NodeId::new(node_id));
+    let settings = Settings::new(BitRateSetting::Fixed(rate)).with_node_id(NodeId::new(node_id));
     Some(InForce { settings, heartbeat_ms })
 }
 
@@ -47,11 +46,10 @@ pub(super) fn hand_over<A: Application>(node: &Node<A>, command: Command) {
     });
 }
 
-/// Records that the reset that follows is no failure of the program.
+/// Records that the reset that follows is no failure of the program: without a mailbox none is.
 pub fn note_reset() {
-    if let Some(mailbox) = read() {
-        write(&Mailbox { started: Started::Loader, ..mailbox });
-    }
+    // SAFETY: as above.
+    unsafe { PLACE.cast::<u32>().write_volatile(0) };
 }
 
 /// Records that the program has run for long.

@@ -9,12 +9,7 @@ use program_update::{
 use rtic_core::Mutex;
 
 use super::{Update, areas::Areas, mailbox, objects::Request};
-use crate::{
-    can::Peripheral,
-    clock,
-    runner::Runner,
-    watchdog,
-};
+use crate::{can::Peripheral, clock, runner::Runner, watchdog};
 
 /// The part of the task that stores: what the objects of program download have asked for.
 pub struct Steps {
@@ -50,8 +45,10 @@ impl Steps {
                 update.is_answering = false;
                 program.answered(now());
             }
-            (update.request.take_if(|request| !matches!(request, Request::Reset) || is_idle),
-                program.poll(is_well, now()))
+            (
+                update.request.take_if(|request| !matches!(request, Request::Reset) || is_idle),
+                program.poll(is_well, now()),
+            )
         });
         match request {
             Some(Request::Stop) => runner.lock(|runner| {
@@ -90,7 +87,8 @@ impl Steps {
         runner: &mut impl Mutex<T = Runner<C, A>>,
         update: fn(&mut A) -> &mut Update,
     ) -> Result<(), program_update::Abort> {
-        let copy = runner.lock(|runner| update(runner.node_mut().application_mut()).program.clone());
+        let copy =
+            runner.lock(|runner| update(runner.node_mut().application_mut()).program.clone());
         let Some(mut program) = copy else { return Ok(()) };
         let outcome = program.confirm(&mut self.areas);
         runner.lock(|runner| update(runner.node_mut().application_mut()).program = Some(program));

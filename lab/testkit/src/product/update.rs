@@ -12,11 +12,7 @@ type Change = (&'static str, &'static str, &'static str);
 pub(super) const CHANGES: &[Change] = &[
     ("memory.x", "boards/stm32f4/image.x", "boards/stm32f4/program.x"),
     ("memory.x", "INCLUDE image.x", "INCLUDE program.x"),
-    (
-        "Cargo.toml",
-        "canopen-stm32f4 = { ",
-        "canopen-stm32f4 = { features = [\"update\"], ",
-    ),
+    ("Cargo.toml", "canopen-stm32f4 = { ", "canopen-stm32f4 = { features = [\"update\"], "),
     (
         "Cargo.toml",
         "[[bin]]\nname = \"flash\"",
@@ -58,11 +54,7 @@ pub(super) const CHANGES: &[Change] = &[
          impl Application {\n    /// What program control does.\n    \
          pub const fn update(&mut self) -> &mut Update {\n        &mut self.update\n    }\n}",
     ),
-    (
-        "src/main.rs",
-        "board, watchdog::Task}",
-        "board, update::{Confirm, Steps}, watchdog::Task}",
-    ),
+    ("src/main.rs", "board, watchdog::Task}", "board, update::{Confirm, Steps}, watchdog::Task}"),
     (
         "src/main.rs",
         "        watchdog: Watchdog,\n    }",

@@ -49,9 +49,7 @@ pub(super) fn entries() -> impl Iterator<Item = (Entry, Description)> {
         let (object, name) = match (entry.index, entry.sub_index) {
             (DATA, 0) => (Some("Program data"), "Highest sub-index supported"),
             (CONTROL, 0) => (Some("Program control"), "Highest sub-index supported"),
-            (0x1F56, 0) => {
-                (Some("Program software identification"), "Highest sub-index supported")
-            }
+            (0x1F56, 0) => (Some("Program software identification"), "Highest sub-index supported"),
             (0x1F57, 0) => (Some("Flash status indication"), "Highest sub-index supported"),
             (_, 0) => (Some("Update"), "Highest sub-index supported"),
             (STATE, 1) => (None, "State"),
@@ -164,7 +162,9 @@ impl<A: Application> Node<A> {
 
     /// Informs the program that an SDO answer is being sent.
     pub(super) fn note_answer(&mut self) {
-        if A::PROGRAM_DOWNLOAD && let Some(program) = self.product.application.program() {
+        if A::PROGRAM_DOWNLOAD
+            && let Some(program) = self.product.application.program()
+        {
             program.answering();
         }
     }

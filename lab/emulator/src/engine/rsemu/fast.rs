@@ -70,9 +70,8 @@ impl<'a> Memories<'a> {
     }
 
     fn code(&self, address: u32) -> Option<u16> {
-        let in_ram = || {
-            within(self.ram, RAM_BASE, address, 2).filter(|_| !self.is_guarded(address, 2))
-        };
+        let in_ram =
+            || within(self.ram, RAM_BASE, address, 2).filter(|_| !self.is_guarded(address, 2));
         let (memory, offset) = self.flash(address, 2).or_else(in_ram)?;
         Some(read(memory, offset, Size::Half)? as u16)
     }
