@@ -94,9 +94,7 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        if cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]) {
-            cx.shared.runner.lock(Runner::supervise);
-        }
+        cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]);
     }
 
     /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store

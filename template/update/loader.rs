@@ -92,8 +92,6 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        if cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]) {
-            cx.shared.runner.lock(Runner::supervise);
-        }
+        cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]);
     }
 }

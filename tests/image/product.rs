@@ -124,3 +124,12 @@ fn a_peripheral_that_is_not_modelled_is_a_line_of_the_report() {
 fn a_test_can_refuse_a_peripheral_that_is_not_modelled() {
     node_4(false);
 }
+
+#[test]
+fn a_product_whose_state_is_too_large_for_the_stack_does_not_link() {
+    let state = "values Value;\n\n    private buffer: [u8; 6_000] = [0; 6_000];";
+    let change = ("src/application.rs", "values Value;", state);
+    let error = product::build_changed("large", Part::Stm32f446, 1, &[change]);
+    let error = error.map(drop).expect_err("the stack is too small").to_string();
+    assert!(error.contains("Give a large buffer to a task"), "{error}");
+}

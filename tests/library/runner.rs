@@ -1,23 +1,13 @@
 //! The runner that all boards share, over a controller in memory: frames that wait, errors, samples of the bus, and
-//! async drivers without an executor.
+//! loops that poll.
 
-use std::{
-    cell::RefCell,
-    collections::VecDeque,
-    future::Future,
-    pin::{Pin, pin},
-    rc::Rc,
-    task::{Context, Poll, Waker},
-};
+use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use canopen_node::{
     Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives,
     application::NoApplication,
     indicator::BusState,
-    runner::{
-        self, AsyncController, AsyncSystem, BusError, Controller, Mode, Received, Runner, Sample,
-        System,
-    },
+    runner::{self, BusError, Controller, Mode, Received, Runner, Sample, System},
     settings::{Found, Log},
 };
 use testkit::{
@@ -135,35 +125,6 @@ impl System for Handle {
 
     fn set_alarm(&mut self, at: Instant) {
         self.0.borrow_mut().alarm_at_us = at.as_micros();
-    }
-}
-
-/// Nothing wakes these futures: the tests poll them again.
-struct When<F>(F);
-
-impl<F: FnMut() -> bool + Unpin> Future for When<F> {
-    type Output = ();
-
-    fn poll(mut self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<()> {
-        if (self.0)() { Poll::Ready(()) } else { Poll::Pending }
-    }
-}
-
-impl AsyncController for Handle {
-    fn changed(&mut self) -> impl Future<Output = ()> {
-        let chip = self.0.clone();
-        When(move || {
-            let chip = chip.borrow();
-            !chip.received.is_empty() || chip.has_sent || chip.error.is_some()
-        })
-    }
-}
-
-impl AsyncSystem for Handle {
-    fn wait_until(&mut self, at: Instant) -> impl Future<Output = ()> {
-        let chip = self.0.clone();
-        chip.borrow_mut().alarm_at_us = at.as_micros();
-        When(move || at.has_come(Instant::from_micros(chip.borrow().now_us)))
     }
 }
 
@@ -411,8 +372,7 @@ fn a_controller_that_does_not_start_is_started_again() {
     board.chip().refused_starts = 3;
     board.take_starts();
     board.receive(&["15 00 00"]);
-    board.pass_ms(1);
-    (0..5).for_each(|_| board.runner.supervise());
+    board.pass_ms(1_250);
     assert_eq!(board.take_starts(), [(Mode::TakePart, 250); 3]);
 }
 
@@ -472,14 +432,14 @@ fn a_listener_that_hears_nothing_of_a_dominant_bus_is_started_again() {
     assert_eq!(board.take_starts(), [], "it listens first");
     board.pass_ms(1);
     assert_eq!(board.take_starts(), [(Mode::Listen, 1000)]);
-    board.runner.supervise();
+    board.pass_ms(250);
     assert_eq!(board.take_starts(), []);
     board.chip().sample = DOMINANT;
-    board.runner.supervise();
+    board.pass_ms(250);
     assert_eq!(board.take_starts(), [(Mode::Listen, 1000)]);
     board.chip().received.push_back(Received::Overrun);
     board.runner.handle_received();
-    board.runner.supervise();
+    board.pass_ms(250);
     assert_eq!(board.take_starts(), [], "it has heard something");
 }
 
@@ -532,28 +492,23 @@ fn bus_off_and_the_recovery_are_reported() {
     board.chip().state = BusState::BusOff;
     board.runner.handle_status();
     board.chip().state = BusState::Good;
-    board.runner.supervise();
-    board.pass_ms(1);
-    assert_eq!(board.take_sent(), ["085: 40 81 11 00 00 00 00 00"]);
+    board.pass_ms(250);
+    let sent = board.take_sent();
+    assert_eq!(sent, ["085: 40 81 11 00 00 00 00 00", "085: 00 00 00 00 00 00 00 00"]);
 }
 
-/// Polls the runner's futures once more each millisecond, and returns the number of steps of the indicators.
+/// Polls the runner each millisecond, and returns the number of steps of the indicators.
 fn run_ms(board: &mut Board, log: &mut Storage, ms: u32) -> usize {
-    let mut context = Context::from_waker(Waker::noop());
     let mut steps = 0;
-    let end = board.chip().now_us + 1000 * ms;
-    while board.chip().now_us < end {
-        // A new future each time: the one before was dropped.
-        while pin!(board.runner.run_step(log)).poll(&mut context).is_ready() {
-            steps += 1;
-        }
+    for _ in 0..ms {
+        steps += usize::from(board.runner.poll(log).lit.is_some());
         board.chip().now_us += 1000;
     }
     steps
 }
 
 #[test]
-fn the_runner_over_async_drivers_answers_stores_and_lights_its_indicators() {
+fn a_runner_that_is_polled_answers_stores_and_lights_its_indicators() {
     let mut board = Board::new(device(ADDRESS).with_defaults(defaults(0xFF)));
     let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
     run_ms(&mut board, &mut log, 5);
@@ -570,7 +525,7 @@ fn the_runner_over_async_drivers_answers_stores_and_lights_its_indicators() {
 }
 
 #[test]
-fn the_runner_over_async_drivers_supervises_the_controller_four_times_a_second() {
+fn the_runner_supervises_the_controller_four_times_a_second() {
     let mut board = Board::with_node_id();
     let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
     board.receive(&["04 01", "13 00 03"]);
@@ -582,7 +537,7 @@ fn the_runner_over_async_drivers_supervises_the_controller_four_times_a_second()
 }
 
 #[test]
-fn a_step_that_is_dropped_at_every_poll_loses_no_frame() {
+fn a_runner_that_is_polled_sends_what_waited_for_the_bus() {
     let mut board = Board::with_node_id();
     let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
     board.chip().is_bus_free = false;
@@ -595,4 +550,21 @@ fn a_step_that_is_dropped_at_every_poll_loses_no_frame() {
         run_ms(&mut board, &mut log, 1);
     }
     assert_eq!(board.take_sent().texts().len(), 2);
+}
+
+#[test]
+fn a_poll_says_when_the_next_one_is_due() {
+    let mut board = Board::with_node_id();
+    let (mut log, _) = Storage::open_with_parameters(BoardFlash::blank(0));
+    board.receive(&["04 01", "13 00 02", "15 0A 00"]);
+    let end_of_the_delay = board.chip().now_us + 10_000;
+    board.take_starts();
+    while board.chip().now_us < end_of_the_delay {
+        let at = board.runner.poll(&mut log).at.as_micros();
+        assert_eq!(board.take_starts(), []);
+        board.chip().now_us = at;
+    }
+    _ = board.runner.poll(&mut log);
+    assert_eq!(board.chip().now_us, end_of_the_delay);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 500)]);
 }

@@ -12,14 +12,14 @@ const VALUES: &str = r#"0x6000 "Values" {
 }"#;
 
 /// Objects that are wrong, and the message.
-const OBJECTS: [(&str, &str); 20] = [
+const OBJECTS: [(&str, &str); 22] = [
     (
         r#"0x2000 { 0 "A" a: u8 = 0, rw; }"#,
         "object 2000h sub-index 0: its index must be 2001h to 9FFFh",
     ),
     (
         r#"0x2FF0 { 0 "A" a: u8 = 0, rw; }"#,
-        "object 2FF0h sub-index 0: this index is that of the node-ID and the bit rate",
+        "object 2FF0h sub-index 0: this index is that of the node-ID and the bit rate: take another",
     ),
     (
         r#"0x2101 { 0 "A" a: u8 = 0, rw; } 0x2100 { 0 "B" b: u8 = 0, rw; }"#,
@@ -35,11 +35,11 @@ const OBJECTS: [(&str, &str); 20] = [
     ),
     (
         r#"0x2100 { 1 "A" a: u8 = 0, rw; }"#,
-        "object 2100h sub-index 1: an object with sub-indices needs a name",
+        "object 2100h sub-index 1: an object with sub-indices needs a name behind its index, and no sub-index 0, which is added",
     ),
     (
         r#"0x2100 { 0 "A" a: u8 = 0, rw; 1 "B" b: u8 = 0, rw; }"#,
-        "object 2100h sub-index 1: an object with sub-indices needs a name",
+        "object 2100h sub-index 1: an object with sub-indices needs a name behind its index, and no sub-index 0, which is added",
     ),
     (
         r#"0x2100 { 0 "A" a: u16 = 101, rw in 0..=100; }"#,
@@ -59,19 +59,27 @@ const OBJECTS: [(&str, &str); 20] = [
     ),
     (
         r#"0x2100 { 0 "A" a: &'static str = "", ro, mappable; }"#,
-        "object 2100h sub-index 0: only numbers can be mapped into a PDO",
+        "object 2100h sub-index 0: only numbers can be mapped into a PDO: leave `mappable` out",
     ),
     (
         r#"0x2100 { 0 "A" a: u8 = 0, ro, quiet; }"#,
-        "object 2100h sub-index 0: only a mappable object can be quiet",
+        "object 2100h sub-index 0: only a mappable object can be quiet: add `mappable`",
     ),
     (
         r#"0x2100 { 0 "A" a: u8 = 0, constant, stored; }"#,
-        "object 2100h sub-index 0: a constant is not stored",
+        "object 2100h sub-index 0: a constant is not stored: leave `stored` out",
     ),
     (
         r#"0x2100 { 0 "A" a: Domain = Domain, ro, stored; }"#,
         "object 2100h sub-index 0: what is read and written in parts is not stored: its application keeps it",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: u8 = 0, ro with read; }"#,
+        "object 2100h sub-index 0: only a `Domain` or a `LongText` is declared `with` methods",
+    ),
+    (
+        r#"0x2100 { 0 "A" a: Domain = Domain, rw with read; }"#,
+        "object 2100h sub-index 0: a client can write it, so it needs two methods: `with read and write`",
     ),
     (
         r#"0x2100 { 0 "A" a: u8 = 0, r; }"#,
@@ -97,15 +105,15 @@ const COMMUNICATION: [(&str, &str); 17] = [
     ),
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 3)])];",
-        "TPDO 1: 6000h sub-index 3 is not declared as mappable",
+        "TPDO 1: 6000h sub-index 3 is not declared as mappable: add this option",
     ),
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 2)])];",
-        "TPDO 1: 6000h sub-index 2 is no input: its access is wo or rww",
+        "TPDO 1: 6000h sub-index 2 is no input: its access is wo or rww, and must be ro, rwr or rw",
     ),
     (
         "RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6000, 1)])];",
-        "RPDO 1: 6000h sub-index 1 is no output: its access is constant, ro or rwr",
+        "RPDO 1: 6000h sub-index 1 is no output: its access is constant, ro or rwr, and must be wo, rww or rw",
     ),
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1), (0x6000, 1)])];",
@@ -121,25 +129,34 @@ const COMMUNICATION: [(&str, &str); 17] = [
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]); 5];",
         "TPDO 5: it must be `invalid()`: only the first 4 have a COB-ID in a new device",
     ),
-    ("TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_transmission_type(253)];", "TPDO 1: "),
-    ("RPDOS: &'static [Rpdo] = &[Rpdo::new(&[]).with_transmission_type(241)];", "RPDO 1: "),
+    (
+        "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_transmission_type(253)];",
+        "TPDO 1: the transmission type must be 0 to 240, 254 or 255",
+    ),
+    (
+        "RPDOS: &'static [Rpdo] = &[Rpdo::new(&[]).with_transmission_type(241)];",
+        "RPDO 1: the transmission type must be 0 to 240, 254 or 255",
+    ),
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_sync_start_value(241)];",
         "TPDO 1: the SYNC start value must be 0 to 240",
     ),
     ("PRODUCERS: usize = 17;", "PRODUCERS is 17, at most 16 are possible"),
-    ("WATCHED: &'static [(u8, u16)] = &[(1, 500)];", "WATCHED: node 1 is one more than PRODUCERS"),
+    (
+        "WATCHED: &'static [(u8, u16)] = &[(1, 500)];",
+        "WATCHED: node 1 is one more than PRODUCERS, which is 0",
+    ),
     (
         "PRODUCERS: usize = 2; const WATCHED: &'static [(u8, u16)] = &[(1, 500), (1, 900)];",
         "WATCHED: node 1 is watched twice",
     ),
     (
         "PRODUCERS: usize = 1; const WATCHED: &'static [(u8, u16)] = &[(128, 500)];",
-        "WATCHED: node 128 needs a node-ID of 1 to 127 and a time",
+        "WATCHED: node 128 does not exist: node-IDs are 1 to 127",
     ),
     (
         "PRODUCERS: usize = 1; const WATCHED: &'static [(u8, u16)] = &[(1, 0)];",
-        "WATCHED: node 1 needs a node-ID of 1 to 127 and a time",
+        "WATCHED: node 1 needs a time of 1 to 65535 ms",
     ),
 ];
 
@@ -150,6 +167,8 @@ fn program(objects: &str, communication: &str) -> String {
 use canopen_node::{{Application, application::*, objects, pdo::{{Rpdo, Tpdo}}}};
 objects! {{ pub struct Objects, values Value; {objects} }}
 impl Application for Objects {{ {communication} }}
+#[allow(dead_code)]
+impl Objects {{ fn read(&self) -> &[u8] {{ &[] }} }}
 fn main() {{}}
 "
     )

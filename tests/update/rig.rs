@@ -72,13 +72,13 @@ fn stored() -> Vec<u8> {
     flash_with(&[settings(NODE, RATE)])
 }
 
-/// A master and the board.
-pub struct Rig(pub ImageRig);
+/// A master and the board, and the time-out of its requests.
+pub struct Rig(pub ImageRig, pub Time);
 
 impl Rig {
     /// The board after its start.
     pub fn new() -> Self {
-        let mut rig = Self(ImageRig::new(RATE, [board()]));
+        let mut rig = Self(ImageRig::new(RATE, [board()]), Time::from_ms(500));
         assert_eq!(rig.0.collect(Time::from_ms(10)), ["705: 00"]);
         rig
     }

@@ -5,7 +5,7 @@ use canopen_node::{
     BitRate, Frame, Numbers, Receives,
     bit_rate::BitTiming,
     indicator::BusState,
-    runner::{AsyncController, BusError, Controller, Mode, Received, Sample},
+    runner::{BusError, Controller, Mode, Received, Sample},
 };
 use embassy_futures::{
     poll_once,
@@ -46,6 +46,20 @@ impl Bxcan {
         let (sender, receiver) = can.split();
         let interrupts = CAN1.ier().read();
         Self { can, sender, receiver, interrupts, sending: [None; 3], received: None, error: None }
+    }
+
+    /// Waits until a frame was received or sent, or an error was detected. Nothing is lost if the future is dropped.
+    pub async fn changed(&mut self) {
+        let (sender, sending) = (&self.sender, self.sending);
+        let sent = MAILBOXES.map(async |mailbox| match sending[mailbox as usize] {
+            Some(_) => sender.flush(mailbox).await,
+            None => core::future::pending().await,
+        });
+        match select(self.receiver.read(), select_array(sent)).await {
+            Either::First(Ok(envelope)) => self.received = Some(envelope),
+            Either::First(Err(error)) => self.error = convert(error),
+            Either::Second(_) => {}
+        }
     }
 }
 
@@ -145,21 +159,6 @@ impl Controller for Bxcan {
     fn sample(&self) -> Option<Sample> {
         let status = CAN1.msr().read();
         Some(Sample { is_recessive: status.rx(), is_transmitting: status.txm() })
-    }
-}
-
-impl AsyncController for Bxcan {
-    async fn changed(&mut self) {
-        let (sender, sending) = (&self.sender, self.sending);
-        let sent = MAILBOXES.map(async |mailbox| match sending[mailbox as usize] {
-            Some(_) => sender.flush(mailbox).await,
-            None => core::future::pending().await,
-        });
-        match select(self.receiver.read(), select_array(sent)).await {
-            Either::First(Ok(envelope)) => self.received = Some(envelope),
-            Either::First(Err(error)) => self.error = convert(error),
-            Either::Second(_) => {}
-        }
     }
 }
 

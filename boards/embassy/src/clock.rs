@@ -1,9 +1,6 @@
 //! Time: a count of microseconds by TIM2, which goes on while a debugger halts the core. That of embassy stands still.
 
-use canopen_node::{
-    Instant,
-    runner::{AsyncSystem, System},
-};
+use canopen_node::{Instant, runner::System};
 use embassy_stm32::{Peri, peripherals::TIM2, time::Hertz, timer::low_level::Timer};
 
 /// The count, and the core.
@@ -15,6 +12,11 @@ impl Clock {
         timer.set_tick_freq(Hertz::mhz(1));
         timer.start();
         Self(timer)
+    }
+
+    /// Waits until `at`; returns at once if that has passed.
+    pub async fn wait_until(&self, at: Instant) {
+        embassy_time::Timer::after_micros(at.micros_after(self.now()).into()).await;
     }
 }
 
@@ -32,11 +34,5 @@ impl System for Clock {
 
     fn reset(&mut self) {
         cortex_m::peripheral::SCB::sys_reset();
-    }
-}
-
-impl AsyncSystem for Clock {
-    async fn wait_until(&mut self, at: Instant) {
-        embassy_time::Timer::after_micros(at.micros_after(self.now()).into()).await;
     }
 }

@@ -8,7 +8,7 @@ use canopen_node::{
     BitRate, Frame, Numbers, Receives,
     bit_rate::BitTiming,
     indicator::BusState,
-    runner::{AsyncController, BusError, Controller, Mode, Received, Sample},
+    runner::{BusError, Controller, Mode, Received, Sample},
 };
 use embassy_futures::poll_once;
 use embassy_stm32::{
@@ -85,6 +85,20 @@ impl Fdcan {
     fn has_finished(&self) -> bool {
         let pending = REGISTERS.txbrp().read();
         (0..BUFFERS).any(|buffer| self.sending[buffer].is_some() && !pending.trp(buffer))
+    }
+
+    /// Waits until a frame was received or sent, or an error was detected. Nothing is lost if the future is dropped.
+    pub async fn changed(&mut self) {
+        poll_fn(|context| {
+            CHANGED.register(context.waker());
+            self.status();
+            let has_received = REGISTERS.rxfs(0).read().ffl() > 0;
+            if has_received || self.has_finished() || self.error.get().is_some() {
+                return Poll::Ready(());
+            }
+            Poll::Pending
+        })
+        .await;
     }
 }
 
@@ -212,21 +226,6 @@ impl Controller for Fdcan {
         let is_transmitting = self.driver.is_some() && self.status().0 & ACTIVITY == TRANSMITTER;
         let is_recessive = self.driver.is_none() || REGISTERS.test().read().rx();
         Some(Sample { is_recessive, is_transmitting })
-    }
-}
-
-impl AsyncController for Fdcan {
-    async fn changed(&mut self) {
-        poll_fn(|context| {
-            CHANGED.register(context.waker());
-            self.status();
-            let has_received = REGISTERS.rxfs(0).read().ffl() > 0;
-            if has_received || self.has_finished() || self.error.get().is_some() {
-                return Poll::Ready(());
-            }
-            Poll::Pending
-        })
-        .await;
     }
 }
 

@@ -23,6 +23,7 @@ use canopen_node::{
 use defmt_rtt as _;
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_executor::Spawner;
+use embassy_futures::select::select;
 use embassy_stm32::{gpio::Output, uid::uid, wdg::IndependentWatchdog};
 use embassy_sync::blocking_mutex::{Mutex, NoopMutex};
 use panic_probe as _;
@@ -69,9 +70,13 @@ async fn main(_spawner: Spawner) {
     let mut runner = Runner::new(node, can, clock);
     let mut watchdog = watch(STEP_US);
     loop {
-        let lit = runner.run_step(&mut log).await;
-        run.set_level(lit.run.into());
-        error.set_level(lit.error.into());
-        watchdog.pet();
+        let wake = runner.poll(&mut log);
+        if let Some(lit) = wake.lit {
+            run.set_level(lit.run.into());
+            error.set_level(lit.error.into());
+            watchdog.pet();
+        }
+        let (can, clock) = runner.parts_mut();
+        select(can.changed(), clock.wait_until(wake.at)).await;
     }
 }

@@ -4,7 +4,7 @@
 use canopen_node::{
     BitRate, Frame, Numbers, Receives,
     indicator::BusState,
-    runner::{self, AsyncController, BusError, Mode, Received, Sample},
+    runner::{self, BusError, Mode, Received, Sample},
 };
 use esp_hal::{
     Blocking,
@@ -153,10 +153,4 @@ impl runner::Controller for Controller {
             self.sending.is_some() && TWAI0::regs().status().read().tx_st().bit_is_set();
         Some(Sample { is_recessive: self.receive.is_input_high(), is_transmitting })
     }
-}
-
-impl AsyncController for Controller {
-    /// Returns at once: the loop polls. The driver's own interrupt drops the kind of an error, and while the flash is
-    /// written no interrupt is served.
-    async fn changed(&mut self) {}
 }

@@ -16,7 +16,7 @@ use crate::{
     clock::Alarm,
     crystal::{self, Crystal},
     fault,
-    flash::SettingsFlash,
+    flash::{self, SettingsFlash},
     runner::{Runner, Storage},
     start,
     supply::Supply,
@@ -75,6 +75,12 @@ impl Board {
         can: C,
         pins: CanPins<C>,
     ) -> (Runner<C, A>, Storage<STORED_LEN>, Watchdog) {
+        const {
+            assert!(
+                Node::<A>::STORED_LEN <= flash::CAPACITY,
+                "the flash has no room for the stored parameters of the application"
+            );
+        }
         let (mut log, found) = Log::open_with_parameters(self.flash);
         let stored = log.settings();
         let mut node = Node::with_application(device, stored, application);

@@ -32,18 +32,15 @@ impl Alarm {
         Self { timer }
     }
 
-    /// Sets the interrupt to `instant`, or triggers it at once if that has passed; replaces an earlier instant.
+    /// Sets the interrupt to `instant`, or triggers it at once if that has passed; replaces an earlier instant, and
+    /// acknowledges its interrupt.
     pub fn set(&mut self, instant: Instant) {
         self.timer.ccr1().write(|w| w.ccr().set(instant.as_micros()));
-        // The count may have passed the instant before it was written.
+        self.timer.sr().write(|w| w.cc1if().clear_bit());
+        // The count may have passed the instant before.
         if instant.has_come(now()) {
             NVIC::pend(INTERRUPT);
         }
-    }
-
-    /// Acknowledges the interrupt.
-    pub fn acknowledge(&mut self) {
-        self.timer.sr().write(|w| w.cc1if().clear_bit());
     }
 }
 

@@ -37,6 +37,8 @@ mod runner;
 mod start;
 #[cfg(any(target_os = "none", test))]
 mod supply;
+#[cfg(any(target_os = "none", test))]
+mod task;
 #[cfg(test)]
 mod tests;
 #[cfg(feature = "update")]

@@ -2,7 +2,7 @@
 
 use core::{
     mem::MaybeUninit,
-    sync::atomic::{AtomicBool, AtomicU16, Ordering},
+    sync::atomic::{AtomicU16, Ordering},
 };
 
 use canopen_node::indicator;
@@ -11,6 +11,9 @@ use stm32f4xx_hal::{
     pac::{DBGMCU, IWDG, Interrupt},
     watchdog::IndependentWatchdog,
 };
+
+pub use crate::task::Task;
+use crate::task::{self, TASKS};
 
 /// The timeout in ms at 32 kHz; the oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is the erase
 /// of a 16 KB sector: 800 ms by bytes, 500 ms by words. A new board erases two; should the watchdog end that, the next
@@ -22,12 +25,6 @@ const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 
 /// The interrupt of the task that stores, which belongs to an unused USART.
 pub(crate) const STORE: Interrupt = Interrupt::USART1;
-
-/// The most tasks, those of the product included.
-const TASKS: usize = 16;
-
-/// Whether each task has yet to answer: none before the first roll call.
-static ABSENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
 
 /// A bit for each task that the latest roll call has missed. A reset by the watchdog leaves it.
 #[unsafe(link_section = ".uninit.SILENT")]
@@ -68,33 +65,6 @@ pub(crate) fn log_reset() {
     }
 }
 
-/// A task that must answer.
-#[derive(Clone, Copy)]
-pub struct Task(usize);
-
-impl Task {
-    pub(crate) const RECEIVED: Self = Self(0);
-    pub(crate) const TRANSMITTED: Self = Self(1);
-    pub(crate) const STATUS: Self = Self(2);
-    pub(crate) const STORE: Self = Self(3);
-    /// The task that runs when no other does.
-    pub const IDLE: Self = Self(4);
-    const ALL: u16 = 0b1_1111;
-
-    /// A task of the product, with a number from 0 to 10. [`Watchdog::expect`] makes the watchdog wait for it.
-    pub const fn own(number: usize) -> Self {
-        assert!(number <= 10, "the tasks of a product have the numbers 0 to 10");
-        Self(5 + number)
-    }
-
-    /// Records that the task is alive.
-    pub fn answer(self) {
-        if let Some(absent) = ABSENT.get(self.0) {
-            absent.store(false, Ordering::Relaxed);
-        }
-    }
-}
-
 /// The watchdog.
 pub struct Watchdog {
     hardware: IndependentWatchdog,
@@ -119,7 +89,7 @@ impl Watchdog {
 
     /// Also waits for a task of the product, which must [answer](Task::answer) at least four times a second.
     pub fn expect(&mut self, task: Task) {
-        self.expected |= 1 << task.0;
+        self.expected |= task.bit();
     }
 
     /// Feeds the watchdog without a roll call. Also keeps RTT and the debug port on while the core sleeps, which a debugger
@@ -131,23 +101,17 @@ impl Watchdog {
 
     /// Counts a step of the indicators. Four times a second, feeds the watchdog if all tasks have answered, begins the
     /// next roll call, and triggers the tasks that do not run by themselves, by the interrupts of the CAN controller.
-    /// Returns whether it has.
-    pub fn step(&mut self, interrupts: [Interrupt; 3]) -> bool {
+    pub fn step(&mut self, interrupts: [Interrupt; 3]) {
         self.steps = (self.steps + 1) % STEPS;
         if self.steps != 0 {
-            return false;
+            return;
         }
-        let mut missing = 0;
-        for (number, absent) in ABSENT.iter().enumerate() {
-            missing |= u16::from(absent.load(Ordering::Relaxed)) << number & self.expected;
-            absent.store(true, Ordering::Relaxed);
-        }
+        let missing = task::call_roll() & self.expected;
         silent().store(missing, Ordering::Relaxed);
         if missing == 0 {
             self.feed();
         }
         interrupts.into_iter().for_each(NVIC::pend);
         NVIC::pend(STORE);
-        true
     }
 }

@@ -105,9 +105,7 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        if cx.local.watchdog.step([Interrupt::CAN2_RX0, Interrupt::CAN2_TX, Interrupt::CAN2_SCE]) {
-            cx.shared.runner.lock(Runner::supervise);
-        }
+        cx.local.watchdog.step([Interrupt::CAN2_RX0, Interrupt::CAN2_TX, Interrupt::CAN2_SCE]);
     }
 
     /// Reads the sensors ten times a second, and sets the relays.

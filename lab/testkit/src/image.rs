@@ -9,7 +9,7 @@ use std::{
     sync::OnceLock,
 };
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail};
 use emulator::{chip::Part, image::Image};
 
 use crate::cargo::{cargo_for_the_chip, workspace};
@@ -119,7 +119,7 @@ pub fn build_release(
 }
 
 /// Builds the program of a package in `directory`, which has the same name, and returns the ELF file. `cargo` shows its
-/// progress.
+/// progress, unless `change` takes its messages for the error.
 pub(crate) fn build_with(
     directory: &Path,
     package: &str,
@@ -159,7 +159,10 @@ fn build_bin(
         .stderr(Stdio::inherit());
     change(&mut command);
     let output = command.output().context("cannot run cargo")?;
-    ensure!(output.status.success(), "the firmware does not build: see above");
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        bail!("the firmware does not build: {}", if said.is_empty() { "see above" } else { &said });
+    }
     let messages = String::from_utf8_lossy(&output.stdout);
     let path = executable(&messages).context("cargo reported no executable for the firmware")?;
     fs::read(&path).with_context(|| format!("cannot read {path}"))

@@ -5,7 +5,7 @@ mod update;
 use std::{
     fs, io, mem,
     path::{Component, Path, PathBuf},
-    process::Command,
+    process::{Command, Stdio},
 };
 
 use anyhow::Context;
@@ -40,7 +40,7 @@ pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
 }
 
 /// The ELF file of a new product with changes of its files, built in `target/products`. Each change is the path of a
-/// file, the text that goes, and that in its place.
+/// file, the text that goes, and that in its place. An error has the messages of `cargo`.
 pub fn build_changed(
     name: &str,
     chip: Part,
@@ -58,7 +58,7 @@ pub fn build_changed(
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
         // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target"));
+        command.arg("--target-dir").arg(workspace().join("target")).stderr(Stdio::piped());
     })
 }
 

@@ -30,15 +30,15 @@
 //! assert_eq!(Dimmer::new().brightness, 50);
 //! ```
 
+mod check;
 mod declaration;
 pub(crate) mod event;
 mod field;
 mod text;
 mod value;
 
-pub use declaration::{
-    Row, check, check_communication, check_count, count, fail, firsts, longest, table,
-};
+pub use check::{check, check_communication, check_count, check_methods, fail};
+pub use declaration::{Row, count, firsts, longest, table};
 pub use event::Event;
 pub use field::{FieldType, Plain, ValueOf, check_limits, len, read};
 pub use text::{OctetString, Text};

@@ -2,19 +2,18 @@
 //! wait for the controller, and watches the bus.
 //!
 //! A port writes a [`Controller`] and a [`System`]. On a board with interrupts each of them calls a `handle_` function
-//! of the [`Runner`]. A port to async drivers writes an [`AsyncController`] and an [`AsyncSystem`], and calls
-//! [`Runner::run_step`] in a loop, by any executor.
+//! of the [`Runner`]. Any other port calls [`Runner::poll`] in a loop, and may wait between two calls.
 
-mod asynchronous;
 mod bus;
 mod controller;
+mod poll;
 mod queue;
 mod sampler;
 
 use core::mem;
 
-pub use asynchronous::{AsyncController, AsyncSystem};
 pub use controller::{BusError, Controller, Mode, Received, Sample};
+pub use poll::Wake;
 
 use crate::{
     Action, Application, BitRate, BusEvent, Confirmation, Frame, Instant, Node, Numbers, Settings,
@@ -69,6 +68,8 @@ pub trait System {
 
 /// The length of a step of the indicators.
 const STEP_MICROS: u32 = indicator::STEP_MS * 1000;
+/// The steps between two looks at the controller's state: four looks a second.
+const SUPERVISION_STEPS: u8 = 250 / indicator::STEP_MS as u8;
 /// The time since the start of a step that tells of a debugger that had halted the core.
 const HALT_MICROS: u32 = 500_000;
 
@@ -85,7 +86,7 @@ pub struct Runner<C: Controller, S: System, A: Application = NoApplication> {
     indicators: Indicators,
     /// The start of the indicators' next step.
     step_at: Instant,
-    /// The indicators' steps since the last [`supervise`](Self::supervise), for [`run_step`](Self::run_step).
+    /// The indicators' steps since the last look at the controller's state.
     steps: u8,
     /// A store that has not begun.
     store: Option<Settings>,
@@ -135,6 +136,12 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         self.bus_state == BusState::BusOff
     }
 
+    /// Looks again whether an SDO answer that was held back can be given, as [`Node::resume`] does.
+    pub fn resume(&mut self) {
+        self.node.resume();
+        self.finish();
+    }
+
     /// Answers an SDO download, as [`Node::answer`] does.
     pub fn answer(&mut self, confirmation: Confirmation, outcome: Result<(), Abort>) {
         if let Some(answer) = self.node.answer(confirmation, outcome) {
@@ -143,9 +150,9 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         self.finish();
     }
 
-    /// What the board has beside its controller.
-    pub const fn system_mut(&mut self) -> &mut S {
-        &mut self.system
+    /// The controller and the rest of the board, for a port that waits for them.
+    pub const fn parts_mut(&mut self) -> (&mut C, &mut S) {
+        (&mut self.bus.can, &mut self.system)
     }
 
     /// Reads or changes the application's values.
@@ -228,13 +235,15 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
                 self.node.handle_bus_event(event, now);
             }
         }
-        if !self.bus.is_listening() {
-            self.watch_bus();
-        }
+        self.watch_bus();
         self.finish();
     }
 
+    /// Reports bus-off and the recovery, unless it is listening.
     fn watch_bus(&mut self) {
+        if self.bus.is_listening() {
+            return;
+        }
         let state = self.bus.can.bus_state();
         let before = mem::replace(&mut self.bus_state, state);
         if state != before {
@@ -261,9 +270,9 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         }
     }
 
-    /// Checks the controller. Must be called a few times a second: a controller need not report its recovery from
-    /// bus-off, may not have started, and as a listener may receive nothing on a dominant bus.
-    pub fn supervise(&mut self) {
+    /// Checks the controller, a few times a second: it need not report its recovery from bus-off, may not have started,
+    /// and as a listener may receive nothing on a dominant bus.
+    fn supervise(&mut self) {
         let is_deaf = self.bus.is_listening()
             && !self.bus.has_heard
             && self.bus.can.sample().is_some_and(|sample| !sample.is_recessive);
@@ -271,7 +280,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         if is_deaf || !self.bus.is_started {
             self.restart();
         }
-        self.handle_status();
+        self.watch_bus();
     }
 
     /// Does what is due now; returns the indicators to light, at the start of each of their steps.
@@ -292,6 +301,10 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
             self.step_at = self.step_at.plus_micros(STEP_MICROS);
             if self.bus.can.sample().is_some_and(|sample| self.bus.sampler.look(sample)) {
                 self.bus.sample(self.system.now());
+            }
+            self.steps = self.steps.wrapping_add(1) % SUPERVISION_STEPS;
+            if self.steps == 0 {
+                self.supervise();
             }
         }
         self.finish();

@@ -14,6 +14,7 @@ use crate::{
     lss::StoreError,
     object_dictionary::{Entry, Missing},
 };
+pub(crate) use block_download::BLOCK_SIZE;
 #[doc(hidden)]
 pub use objects::Buffer;
 pub(crate) use objects::{Content, Objects};

@@ -39,7 +39,11 @@ pub(crate) const PAIRS: [(Word, Word); 3] =
 impl Word {
     /// Its offset in BACKUP.
     pub(crate) const fn offset(self) -> u32 {
-        OFFSET + 4 * self.0
+        OFFSET.wrapping_add(self.0.wrapping_mul(4))
+    }
+
+    const fn bit(self) -> u16 {
+        1u16.wrapping_shl(self.0)
     }
 }
 
@@ -54,7 +58,7 @@ impl Journal {
     pub fn read<F: Flash>(flash: &mut F) -> Self {
         let set = (0..WORDS).fold(0, |set, i| {
             let is_set = flash.read(Area::Backup, Word(i).offset()) == SET;
-            set | u16::from(is_set) << i
+            if is_set { set | Word(i).bit() } else { set }
         });
         Self { set }
     }
@@ -92,12 +96,11 @@ impl Journal {
 
     /// Notes what was programmed.
     pub(crate) fn note(&mut self, word: Word, value: u32) {
-        let bit = 1 << word.0;
-        if value == SET { self.set |= bit } else { self.set &= !bit }
+        if value == SET { self.set |= word.bit() } else { self.set &= !word.bit() }
     }
 
     pub(crate) fn is_set(self, word: Word) -> bool {
-        self.set >> word.0 & 1 == 1
+        self.set & word.bit() != 0
     }
 
     /// BACKUP holds the program that was confirmed last.
@@ -134,7 +137,7 @@ impl Journal {
 
     /// The starts of the program on trial.
     pub fn tries(self) -> u8 {
-        TRY.into_iter().map(|word| u8::from(self.is_set(word))).sum()
+        TRY.into_iter().fold(0, |tries: u8, word| tries.saturating_add(self.is_set(word).into()))
     }
 
     /// Where the update is.

@@ -1,6 +1,7 @@
 //! The loader's objects: clear, download and restore, one small step of the flash at a time.
 
 mod steps;
+mod written;
 
 use crate::{
     Abort, Area, Flash, FlashError, Header, Object, State, Status, Verify,
@@ -105,7 +106,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             requested: now,
             reset: Reset::No,
         };
-        if why == Why::Restore {
+        if matches!(why, Why::Restore | Why::NoProgram) {
             match updater.next(false) {
                 Next::Restore => updater.step = Step::Saved { second: false },
                 // The journal reads otherwise now.

@@ -1,5 +1,4 @@
-//! Calls all of the runner, over a board of which nothing is known. `run_step` is not among the calls: an async
-//! function panics, by the compiler's own code, if it is polled after its end.
+//! Calls all of the runner, over a board of which nothing is known.
 
 use core::hint::black_box;
 
@@ -8,9 +7,10 @@ use canopen_node::{
     indicator::BusState,
     lss::StoreError,
     runner::{BusError, Controller, Mode, Received, Runner, Sample, System},
+    settings::Log,
 };
 
-use crate::{Objects, ObjectsNode, any, any_device, any_instant, any_settings};
+use crate::{Flash, Objects, ObjectsNode, any, any_device, any_instant, any_settings};
 
 /// Calls a runner, which between the calls is in any state that its types allow.
 pub fn drive() {
@@ -21,8 +21,9 @@ pub fn drive() {
     runner.handle_received();
     runner.handle_transmitted();
     runner.handle_status();
-    runner.supervise();
     black_box(runner.handle_alarm());
+    let mut log = Log::<_, { ObjectsNode::STORED_LEN }>::open_with_parameters(Flash).0;
+    _ = black_box(runner.poll(black_box(&mut log)));
     black_box(runner.take_store(any(&[]), any(&mut [])));
     runner.handle_stored(any(Err(StoreError::MediumAccess)));
     runner.application(|objects| _ = black_box(objects));

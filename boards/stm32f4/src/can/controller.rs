@@ -29,6 +29,7 @@ use super::{
     peripheral::Peripheral,
     pins::{CanPins, TransmitPin},
 };
+use crate::task::Task;
 
 /// The number of CAN_MSR reads after which the controller is considered unresponsive. After a reset it enters
 /// initialisation mode within a few clock cycles, or 11 of the bits that CAN_BTR then defines: 88 cycles of APB1.
@@ -150,7 +151,9 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
         filters.fmr().modify(|_, w| w.finit().clear_bit());
     }
 
+    /// The answer to the roll call of the task that receives.
     fn receive(&mut self) -> Option<Received> {
+        Task::RECEIVED.answer();
         read_fifo(&self.registers)
     }
 
@@ -164,6 +167,7 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     }
 
     fn take_sent(&mut self) -> bool {
+        Task::TRANSMITTED.answer();
         const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
         const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
         let status = self.registers.tsr().read().bits();
@@ -191,6 +195,7 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
 
     /// Acknowledges a status interrupt; returns the last error code (RM0090, 32.9.2).
     fn take_error(&mut self) -> Option<BusError> {
+        Task::STATUS.answer();
         const SET_BY_SOFTWARE: u8 = 7;
         let can = &self.registers;
         let status = can.esr().read();

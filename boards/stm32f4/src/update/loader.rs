@@ -3,7 +3,7 @@
 use core::mem::MaybeUninit;
 
 use canopen_node::{
-    Application, Confirmation, Count, Device, Node,
+    Application, Confirmation, Count, Device, Instant, Node,
     application::Dictionary,
     lss::StoreError,
     nmt,
@@ -36,6 +36,12 @@ use crate::{
 /// The words that wait for the flash.
 const RING: usize = 1024;
 
+/// The segments of a block while the flash keeps up.
+const BLOCK_SIZE: u8 = 127;
+/// The time for which an answer is held back while the flash is behind, and the indicators' step of 50 ms at most: some
+/// clients wait for 100 ms.
+const HOLD_MICROS: u32 = 30_000;
+
 type State = Updater<Areas, Unsigned, RING>;
 
 /// The place of the loader's state.
@@ -57,6 +63,10 @@ pub struct Loader {
     owed: Option<Confirmation>,
     /// An SDO answer has been given that nobody may have acknowledged.
     is_answering: bool,
+    /// The segments that the client may send.
+    granted: u8,
+    /// Since when an answer is held back, since the flash is behind.
+    held_since: Option<Instant>,
 }
 
 impl Dictionary for Loader {
@@ -119,6 +129,24 @@ impl canopen_node::Program for Loader {
         Ok(None)
     }
 
+    fn grant(&mut self) -> u8 {
+        self.granted = if self.is_behind() { 1 } else { BLOCK_SIZE };
+        self.granted
+    }
+
+    fn granted(&mut self) -> u8 {
+        self.granted
+    }
+
+    fn holds(&mut self, now: Instant) -> bool {
+        let since = *self.held_since.get_or_insert(now);
+        let holds = self.is_behind() && !since.plus_micros(HOLD_MICROS).has_come(now);
+        if !holds {
+            self.held_since = None;
+        }
+        holds
+    }
+
     fn abort(&mut self) {
         self.answer = None;
         self.updater.abort();
@@ -131,6 +159,13 @@ impl canopen_node::Program for Loader {
 
     fn answering(&mut self) {
         self.is_answering = true;
+    }
+}
+
+impl Loader {
+    /// Whether little room is left for what waits for the flash.
+    fn is_behind(&self) -> bool {
+        self.updater.room() < RING * 4 / 2
     }
 }
 
@@ -177,7 +212,14 @@ impl Board {
             None => Log::<_, 0>::peek(self.flash),
         };
         let owed = (why == Why::Stop).then(Confirmation::of_control);
-        let loader = Loader { updater, answer: None, owed, is_answering: false };
+        let loader = Loader {
+            updater,
+            answer: None,
+            owed,
+            is_answering: false,
+            granted: BLOCK_SIZE,
+            held_since: None,
+        };
         let node = Node::with_application(device, settings, loader);
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
@@ -200,15 +242,19 @@ impl Work {
     fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) -> bool {
         runner.refuse_store(StoreError::MediumAccess);
         let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
-        let loader = runner.application_mut();
+        let loader = runner.node_mut().application_mut();
         if loader.is_answering && is_idle {
             loader.is_answering = false;
             loader.updater.answered(now());
         }
         let action = loader.updater.poll(now());
+        let is_holding = loader.held_since.is_some();
         let is_without_program = loader.updater.is_without_program();
         if let Some(owed) = loader.owed.take_if(|_| state == nmt::State::PreOperational) {
             runner.answer(owed, Ok(()));
+        }
+        if is_holding {
+            runner.resume();
         }
         if is_without_program != self.has_reported {
             self.has_reported = is_without_program;
@@ -219,7 +265,7 @@ impl Work {
         }
         match action {
             Some(Action::Answer(outcome)) => {
-                if let Some(answer) = runner.application_mut().answer.take() {
+                if let Some(answer) = runner.node_mut().application_mut().answer.take() {
                     runner.answer(answer, outcome.map_err(code));
                 }
             }
@@ -229,7 +275,7 @@ impl Work {
             }
             None => {}
         }
-        runner.application_mut().updater.is_busy()
+        runner.node_mut().application_mut().updater.is_busy()
     }
 }
 

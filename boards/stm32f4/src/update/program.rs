@@ -39,7 +39,7 @@ impl Steps {
         let (request, wanted) = runner.lock(|runner| {
             let is_well = watchdog::all_have_answered() && !runner.is_bus_off();
             let is_idle = runner.is_idle();
-            let update = update(runner.application_mut());
+            let update = update(runner.node_mut().application_mut());
             let Some(program) = &mut update.program else { return (None, None) };
             if update.is_answering && is_idle {
                 update.is_answering = false;
@@ -87,10 +87,11 @@ impl Steps {
         runner: &mut impl Mutex<T = Runner<C, A>>,
         update: fn(&mut A) -> &mut Update,
     ) -> Result<(), program_update::Abort> {
-        let copy = runner.lock(|runner| update(runner.application_mut()).program.clone());
+        let copy =
+            runner.lock(|runner| update(runner.node_mut().application_mut()).program.clone());
         let Some(mut program) = copy else { return Ok(()) };
         let outcome = program.confirm(&mut self.areas);
-        runner.lock(|runner| update(runner.application_mut()).program = Some(program));
+        runner.lock(|runner| update(runner.node_mut().application_mut()).program = Some(program));
         outcome
     }
 }

@@ -1,92 +1,6 @@
-//! The macro that declares the objects of a product, and the checks of a declaration at compile time.
+//! The macro that declares the objects of a product, and what it makes at compile time.
 
-use crate::{
-    Application,
-    declaration_error::DeclarationError,
-    heartbeat::consumer,
-    object_dictionary::{Access, DataType, Entry, Object, row},
-    pdo,
-};
-
-/// Checks the table of a product; panics, at compile time, with what is wrong.
-#[doc(hidden)]
-pub const fn check(objects: &[Entry]) {
-    if objects.len() > 256 {
-        DeclarationError::new("there are more than 256 objects").raise();
-    }
-    let mut before = None;
-    let mut rest = objects;
-    while let [entry, others @ ..] = rest {
-        if let Some(fault) = fault(entry, before) {
-            fail(entry.index, entry.sub_index, fault);
-        }
-        before = Some(entry);
-        rest = others;
-    }
-}
-
-/// Checks what an application declares beside its objects; panics, at compile time, with what is wrong.
-#[doc(hidden)]
-pub const fn check_communication<
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
->() {
-    let _ = pdo::declared_tpdos::<A, TPDOS>();
-    let _ = pdo::declared_rpdos::<A, RPDOS>();
-    let _ = consumer::declared::<A, PRODUCERS>();
-}
-
-/// What is wrong with an entry that follows another.
-const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
-    if entry.index < 0x2001 || entry.index > 0x9FFF {
-        return Some("its index must be 2001h to 9FFFh");
-    }
-    if entry.index == 0x2FF0 {
-        return Some("this index is that of the node-ID and the bit rate");
-    }
-    if entry.data_type.size() == 0 && entry.options.is_mappable() {
-        return Some("only numbers can be mapped into a PDO");
-    }
-    if entry.options.is_quiet() && !entry.options.is_mappable() {
-        return Some("only a mappable object can be quiet");
-    }
-    if entry.options.is_stored() {
-        if entry.options.is_streamed() {
-            return Some(
-                "what is read and written in parts is not stored: its application keeps it",
-            );
-        }
-        if matches!(entry.access, Access::Const) {
-            return Some("a constant is not stored");
-        }
-    }
-    let mut is_part = false;
-    if let Some(before) = before {
-        if before.index == entry.index && before.sub_index == entry.sub_index {
-            return Some("it is declared twice");
-        }
-        if before.index > entry.index
-            || before.index == entry.index && before.sub_index > entry.sub_index
-        {
-            return Some("objects must be sorted by index and sub-index");
-        }
-        let is_whole =
-            before.sub_index == 0 && !matches!(before.object, Object::HighestSubIndex(_));
-        is_part = before.index == entry.index && !is_whole;
-    }
-    if entry.sub_index != 0 && !is_part {
-        return Some("an object with sub-indices needs a name");
-    }
-    None
-}
-
-/// Ends the build with what is wrong with an object.
-#[doc(hidden)]
-pub const fn fail(index: u16, sub_index: u8, fault: &str) -> ! {
-    DeclarationError::of_object(index, sub_index).text(fault).raise()
-}
+use crate::object_dictionary::{Access, DataType, Entry, Object, row};
 
 /// The row of a field of the declaration, and the number of its values.
 #[doc(hidden)]
@@ -144,23 +58,6 @@ pub const fn table<const N: usize>(mut rows: &[Row]) -> [Entry; N] {
         rows = others;
     }
     table
-}
-
-/// Checks that a field has a value for each of its sub-indices: one, or the first and the last.
-#[doc(hidden)]
-pub const fn check_count(index: u16, sub_indices: &[u8], count: u8) {
-    let (first, last) = match *sub_indices {
-        [first] => (first, first),
-        [first, last, ..] => (first, last),
-        [] => return,
-    };
-    if last < first || last - first + 1 != count {
-        fail(
-            index,
-            first,
-            "an array has a value for each of its sub-indices, such as 1..=4 and [f32; 4]",
-        );
-    }
 }
 
 /// The largest of these capacities, and at least that for the longest number, in bytes.
@@ -252,7 +149,7 @@ pub const fn longest(capacities: &[usize]) -> usize {
 /// # What does not compile
 /// The build ends with the object and the fault: an index outside of 2001h to 9FFFh, objects that are not sorted or
 /// declared twice, sub-indices without a name, a default or a limit out of range, an array with another number of
-/// sub-indices, and a mapped text or a stored domain.
+/// sub-indices, a mapped text, a stored domain, and a number `with` methods.
 #[macro_export]
 macro_rules! objects {
     (
@@ -445,6 +342,13 @@ macro_rules! objects {
                     &[$sub_index $(, $last)?],
                     <$type as application::FieldType>::COUNT,
                 );
+                $(application::check_methods(
+                    $index,
+                    $sub_index,
+                    <application::ValueOf<$type> as application::ValueType>::OPTIONS,
+                    $crate::objects!(@access $index $sub_index $access),
+                    &[stringify!($read) $(, stringify!($write))?],
+                );)?
                 #[allow(unused_variables, reason = "there may be no limits")]
                 let defaults: &[application::Plain<$type>] =
                     &$crate::objects!(@defaults $default $(, $last)?);

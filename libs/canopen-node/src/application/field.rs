@@ -8,7 +8,7 @@ use crate::sdo::Abort;
 /// The type of a declared field: a value, or an array of values with consecutive sub-indices.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no type of an object",
-    note = "the documentation of `objects!` has a table of the types"
+    note = "types are `bool`, `i8` to `i64`, `u8` to `u64`, `f32`, `f64`, `&'static str`, and those of `canopen_node::application`, such as `Unsigned24`, `Text<16>` and `Domain`"
 )]
 pub trait FieldType {
     /// The type of each value.

@@ -13,7 +13,7 @@ use crate::{
 /// A type of value in the dictionary (CiA 301, 7.1.4).
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no type of an object",
-    note = "the documentation of `objects!` has a table of the types"
+    note = "types are `bool`, `i8` to `i64`, `u8` to `u64`, `f32`, `f64`, `&'static str`, and those of `canopen_node::application`, such as `Unsigned24`, `Text<16>` and `Domain`"
 )]
 pub trait ValueType {
     /// The type of the field that holds the value.

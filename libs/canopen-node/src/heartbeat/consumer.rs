@@ -221,10 +221,13 @@ pub(crate) const fn declared<A: Application + ?Sized, const PRODUCERS: usize>()
         let (node, time_ms) = A::WATCHED[at];
         let error = DeclarationError::new("WATCHED: node ").number(node as usize);
         if at >= PRODUCERS {
-            error.text(" is one more than PRODUCERS").raise();
+            error.text(" is one more than PRODUCERS, which is ").number(PRODUCERS).raise();
         }
-        if node == 0 || node > 127 || time_ms == 0 {
-            error.text(" needs a node-ID of 1 to 127 and a time").raise();
+        if node == 0 || node > 127 {
+            error.text(" does not exist: node-IDs are 1 to 127").raise();
+        }
+        if time_ms == 0 {
+            error.text(" needs a time of 1 to 65535 ms").raise();
         }
         let mut before = 0;
         while before < at {

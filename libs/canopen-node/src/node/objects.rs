@@ -16,7 +16,7 @@ use crate::{
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, Entry, Object, TABLE},
-    sdo::{self, Abort, Content, Message, Objects},
+    sdo::{self, Abort, BLOCK_SIZE, Content, Message, Objects},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -39,6 +39,9 @@ impl<A: Application> Node<A> {
             self.sdo.reset();
         }
         if self.nmt.is_boot_up_due() {
+            return None;
+        }
+        if A::PROGRAM_DOWNLOAD && self.holds_answer(now) {
             return None;
         }
         let mut objects = NodeObjects {
@@ -277,6 +280,16 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
 
     fn abort_domain(&mut self, entry: &Entry) {
         abort_domain(self.application, entry);
+    }
+
+    fn grant(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.grant())
+    }
+
+    fn granted(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.granted())
     }
 }
 

@@ -3,15 +3,15 @@
 
 use lss_slave::Slave;
 
-use super::{Action, Node};
+use super::{Action, Node, Task, Tasks};
 use crate::{
-    Application, Device, Settings, nmt,
+    Application, Device, Instant, Settings, nmt,
     object_dictionary::{
         Access::{Const, ReadOnly, ReadWrite, WriteOnly},
         DataType::{Domain, Unsigned8, Unsigned32},
         DefaultValue, Description, Entry, Object, Options, row,
     },
-    sdo::{Abort, Message},
+    sdo::{Abort, BLOCK_SIZE, Message},
 };
 
 /// The data of the program.
@@ -94,6 +94,21 @@ pub trait Program {
         Err(Abort::DeviceState)
     }
 
+    /// The number of segments of the next block, 1 to 127.
+    fn grant(&mut self) -> u8 {
+        BLOCK_SIZE
+    }
+
+    /// What the last [`grant`](Self::grant) was.
+    fn granted(&mut self) -> u8 {
+        BLOCK_SIZE
+    }
+
+    /// Whether the answer to a part of the program waits for now. [`Node::resume`] must follow.
+    fn holds(&mut self, _now: Instant) -> bool {
+        false
+    }
+
     /// Discards a program that was not completed.
     fn abort(&mut self) {}
 
@@ -132,6 +147,17 @@ impl<A: Application> Node<A> {
             self.slave = self.slave.with_rescue();
         }
         self
+    }
+
+    /// Whether the answer to the request that waits has to wait on, since the program has no room for what would follow.
+    pub(super) fn holds_answer(&mut self, now: Instant) -> bool {
+        let Some(program) = self.product.application.program() else { return false };
+        self.sdo.goes_on(DATA, program.granted()) && program.holds(now)
+    }
+
+    /// Looks again whether an answer that [waits](Program::holds) can be given. [`poll`](Self::poll) must follow.
+    pub fn resume(&mut self) {
+        self.agenda.add(Tasks::of(&[Task::Sdo]));
     }
 
     /// Informs the program that an SDO answer is being sent.

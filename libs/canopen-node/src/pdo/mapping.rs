@@ -71,10 +71,12 @@ impl NotMappable {
     const fn reason(self, direction: Direction) -> &'static str {
         match (self, direction) {
             (Self::Missing, _) => " does not exist",
-            (Self::NotDeclared, _) => " is not declared as mappable",
-            (Self::WrongDirection, Direction::Transmit) => " is no input: its access is wo or rww",
+            (Self::NotDeclared, _) => " is not declared as mappable: add this option",
+            (Self::WrongDirection, Direction::Transmit) => {
+                " is no input: its access is wo or rww, and must be ro, rwr or rw"
+            }
             (Self::WrongDirection, Direction::Receive) => {
-                " is no output: its access is constant, ro or rwr"
+                " is no output: its access is constant, ro or rwr, and must be wo, rww or rw"
             }
         }
     }

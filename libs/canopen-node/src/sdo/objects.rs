@@ -48,6 +48,9 @@ pub(crate) trait Objects {
         confirmation: Message,
     ) -> Result<Option<Message>, Abort>;
     fn abort_domain(&mut self, entry: &Entry);
+    /// The number of segments that the client may send next of a program, and that it was told before.
+    fn grant(&mut self, entry: &Entry) -> u8;
+    fn granted(&mut self, entry: &Entry) -> u8;
 }
 
 /// The memory of the SDO server for the value under way, with room for the longest that a client can write: an array of

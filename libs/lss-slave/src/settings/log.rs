@@ -213,6 +213,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         (log, found)
     }
 
+    /// A log that knows nothing yet of its flash.
     fn unopened(flash: F) -> Self {
         const {
             let () = F::IS_POSSIBLE;

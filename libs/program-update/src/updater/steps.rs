@@ -4,18 +4,18 @@
 //! - **Save**, before an old program is erased: both SAVED void, erase BACKUP, copy RUN, compare, both SAVED.
 //! - **Clear**: erase RUN. What an update has begun needs no second copy, only both SAVED again.
 
-use super::{Action, Cleared, Operation, Updater};
+use super::{Action, Cleared, Operation, Updater, written::header_place};
 use crate::{
-    Abort, Area, Flash, FlashError, Status, Verify, crc,
+    Area, Flash, FlashError, Status, Verify,
     download::Phase,
-    header::{Field, HEADER_LEN},
-    journal::{self, Journal, KEPT, LOADED, PAIRS, SAVED, SET, VOID, Word},
+    header::HEADER_LEN,
+    journal::{Journal, KEPT, PAIRS, SAVED, SET, VOID, Word},
 };
 
-const HEADER: u32 = HEADER_LEN as u32;
+pub(super) const HEADER: u32 = HEADER_LEN as u32;
 /// The words that one step reads at most, in each area.
-const CHUNK: u32 = 64;
-const BLANK: u32 = u32::MAX;
+pub(super) const CHUNK: u32 = 64;
+pub(super) const BLANK: u32 = u32::MAX;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Procedure {
@@ -180,13 +180,18 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         Ok(())
     }
 
-    fn mark(&mut self, word: Word, value: u32, is_needed: bool) -> Result<(), FlashError> {
+    pub(super) fn mark(
+        &mut self,
+        word: Word,
+        value: u32,
+        is_needed: bool,
+    ) -> Result<(), FlashError> {
         self.flash.program(Area::Backup, word.offset(), value)?;
         self.operation = Some(Operation::Mark { word, value, is_needed });
         Ok(())
     }
 
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
+    pub(super) fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
         self.flash.program(area, offset, word)?;
         self.operation = Some(Operation::Program { area, offset, word });
         Ok(())
@@ -330,79 +335,8 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         let start = sectors.iter().take(sector).fold(0u32, |sum, len| sum.wrapping_add(*len));
         Some((start, start.wrapping_add(*len)))
     }
-
-    /// Writes the next word of a download; after the last one its check begins.
-    fn write_download(&mut self) -> Result<(), FlashError> {
-        if !matches!(self.cleared, Cleared::Yes | Cleared::Used) {
-            return Ok(());
-        }
-        let offset = HEADER.wrapping_add(self.download.taken.wrapping_mul(4));
-        if let Some(word) = self.download.pop() {
-            self.cleared = Cleared::Used;
-            self.verify.add(word);
-            self.program(Area::Run, offset, word)?;
-        } else if self.download.phase == Phase::Ended {
-            self.step = Step::Check { word: 0, crc: crc::BEGIN };
-        }
-        Ok(())
-    }
-
-    fn check(&mut self, word: u32, crc: u32) -> Result<Option<Action>, FlashError> {
-        let Some(header) = self.download.header else { return Ok(None) };
-        let left = (header.length / 4).saturating_sub(word);
-        let words = left.min(CHUNK);
-        let offset = HEADER.wrapping_add(word.wrapping_mul(4));
-        let crc = self.flash.crc(Area::Run, offset, words, crc);
-        if words < left {
-            self.step = Step::Check { word: word.wrapping_add(words), crc };
-            return Ok(None);
-        }
-        let stack_pointer = self.flash.read(Area::Run, HEADER);
-        let reset = self.flash.read(Area::Run, HEADER + 4);
-        let is_other = self.verify.sha256().is_some_and(|hash| hash != header.sha256);
-        let outcome = if !crc != header.crc {
-            Err(Status::Damaged(Field::Crc))
-        } else if is_other {
-            Err(Status::Damaged(Field::Hash))
-        } else {
-            header.check_vectors(&self.expected, stack_pointer, reset)
-        };
-        Ok(match outcome {
-            Ok(()) => {
-                self.step = Step::Seal(0);
-                None
-            }
-            Err(status) => {
-                self.step = Step::Idle;
-                self.refuse(status);
-                Some(Action::Answer(Err(Abort::Hardware)))
-            }
-        })
-    }
-
-    /// Writes the header, backwards, then marks the program as complete. Without a program before it, there is no trial.
-    fn seal(&mut self, word: u32) -> Result<(), FlashError> {
-        if let Some(offset) = header_place(word) {
-            let at = self.download.bytes().get(offset as usize..);
-            let value = at.and_then(<[u8]>::first_chunk).copied().map_or(BLANK, u32::from_le_bytes);
-            self.program(Area::Run, offset, value)?;
-            self.step = Step::Seal(word.wrapping_add(1));
-        } else {
-            if self.journal.is_saved() {
-                self.mark(LOADED, SET, true)?;
-            }
-            self.step = Step::Done;
-        }
-        Ok(())
-    }
 }
 
 fn one_of([first, second]: [Word; 2], is_second: bool) -> Word {
     if is_second { second } else { first }
-}
-
-/// The offset of a word of the header in the order of writing. What follows the header's fields is blank, or the journal.
-fn header_place(word: u32) -> Option<u32> {
-    let last = journal::OFFSET - 4;
-    last.checked_sub(word.checked_mul(4)?)
 }

@@ -180,12 +180,9 @@ fn download(loader: &mut Loader, chip: &Chip, number: u8, is_complete: bool) {
     let outcome = loader.write(560, &file[560..]).and_then(|()| loader.end(file.len() as u32));
     chip.check(outcome == Ok(()), "the download fails");
     for _ in 0..MANY {
-        match loader.poll(0) {
-            Some(action) => {
-                chip.check(action == Action::Answer(Ok(())), "the download is not right");
-                return;
-            }
-            None => {}
+        if let Some(action) = loader.poll(0) {
+            chip.check(action == Action::Answer(Ok(())), "the download is not right");
+            return;
         }
     }
     chip.check(false, "a download is never answered");
