@@ -41,6 +41,8 @@ mod supply;
 mod task;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "update")]
+pub mod update;
 #[cfg(target_os = "none")]
 pub mod watchdog;
 

@@ -218,14 +218,21 @@ impl<A: Application + Clone> SlaveBus<A> {
 
     /// Does something with a slave beside the bus, on which nothing is sent for it.
     pub fn beside_bus<T>(&mut self, number: usize, work: impl FnOnce(&mut NodeRig<A>) -> T) -> T {
+        self.on_bus(number, |rig| {
+            let outcome = work(rig);
+            rig.take_actions();
+            outcome
+        })
+    }
+
+    /// Does something with a slave, which sends what follows from it.
+    pub fn on_bus<T>(&mut self, number: usize, work: impl FnOnce(&mut NodeRig<A>) -> T) -> T {
         let slave = &mut self.slaves[number];
         if slave.is_powered {
             slave.catch_up(self.now);
             self.collect(number);
         }
-        let rig = &mut self.slaves[number].rig;
-        let outcome = work(rig);
-        rig.take_actions();
+        let outcome = work(&mut self.slaves[number].rig);
         self.collect(number);
         outcome
     }

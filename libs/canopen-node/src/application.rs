@@ -52,7 +52,7 @@ use core::iter;
 use lss_slave::bytes::copy;
 
 use crate::{
-    Frame, Instant,
+    Frame, Instant, Program,
     count::{Count, Declares},
     nmt::ErrorBehaviour,
     object_dictionary::{Description, Entry},
@@ -144,6 +144,18 @@ pub trait Application: Dictionary {
     /// Whether the application commands the network, as an LSS master does: it [hears](Self::hear) all frames, sends its own,
     /// switches the bit rate of the node, and stores its values, by the calls of the runner. They take no code otherwise.
     const IS_MASTER: bool = false;
+
+    /// Whether the node has the objects of program download (CiA 302-3) 1F50h, 1F51h, 1F56h and 1F57h, and 2001h with the
+    /// state of an update. [`program`](Self::program) is what they do. They take no code otherwise.
+    const PROGRAM_DOWNLOAD: bool = false;
+    /// Whether the node may become NMT operational. A loader stays pre-operational, so that masters see that it is no
+    /// device of their process.
+    const MAY_OPERATE: bool = true;
+
+    /// The program behind the objects of [program download](Self::PROGRAM_DOWNLOAD).
+    fn program(&mut self) -> Option<&mut dyn Program> {
+        None
+    }
 
     /// Decides whether a client may write a value, which is within its limits. It is not called for stored values at
     /// the start.

@@ -12,6 +12,7 @@ mod objects;
 mod periodic;
 mod process;
 mod product;
+mod program;
 mod receives;
 mod settings_object;
 mod verification;
@@ -36,6 +37,7 @@ use communication::Communication;
 use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
+pub use program::{Confirmation, Program};
 pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
@@ -480,6 +482,7 @@ impl<A: Application> Node<A> {
         .chain(Communication::<A::Numbers>::entries::<A>())
         .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
         .chain(A::SETTINGS_BY_SDO.then(settings_object::entries).into_iter().flatten())
+        .chain(A::PROGRAM_DOWNLOAD.then(program::entries).into_iter().flatten())
     }
 
     /// Performs a step of a task. Without an action the task is over.

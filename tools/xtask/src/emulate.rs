@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Number of boards with our firmware: 1..=127; 0 beside --elf
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=127))]
     boards: u8,
-    /// Another program for the chip, on a board of its own; the option can be repeated
+    /// Another program for the chip, an ELF file or `*.hex`, on a board of its own; the option can be repeated
     #[arg(long, value_name = "FILE")]
     elf: Vec<PathBuf>,
     /// Address on which to wait for CAN programs
