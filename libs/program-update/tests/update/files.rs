@@ -130,6 +130,8 @@ fn a_file_that_is_too_short_or_too_long_is_not_taken() {
     // The client announces another length than it sends.
     assert_eq!(loader.write(0, &whole), Ok(()));
     assert_eq!(loader.end(whole.len() as u32 - 4), DAMAGED);
+    assert_eq!(loader.write(0, &whole[..588]), Ok(()));
+    assert_eq!(loader.end(whole.len() as u32), DAMAGED);
 }
 
 #[test]

@@ -38,6 +38,8 @@ pub struct State {
     pub fault: Option<(Operation, FlashError)>,
     /// Words that are programmed, but take no bits.
     pub stuck: Vec<(Area, u32)>,
+    /// An operation that spoils a word, which is not its own.
+    pub spoils: Option<(Operation, (Area, u32))>,
     outcome: Result<(), FlashError>,
 }
 
@@ -62,6 +64,7 @@ impl Chip {
             slow: 0,
             fault: None,
             stuck: Vec::new(),
+            spoils: None,
             outcome: Ok(()),
         })))
     }
@@ -134,6 +137,11 @@ impl State {
         }
         self.operations.push(operation);
         self.busy = 1 + self.slow;
+        if let Some((by, (area, offset))) = self.spoils
+            && by == operation
+        {
+            self.area(area)[offset as usize / 4].reads = 0;
+        }
         self.outcome = Ok(());
         if let Some((fails, how)) = self.fault
             && fails == operation

@@ -2,6 +2,7 @@
 
 mod cuts;
 mod device;
+mod faults;
 mod files;
 mod flash;
 mod model;

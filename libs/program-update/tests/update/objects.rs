@@ -1,17 +1,17 @@
 //! The loader's objects 1F50h, 1F51h, 1F56h, 1F57h and 2001h, as a client sees them.
 
 use program_update::{
-    Abort, Action, Area, FlashError, Object, Status,
+    Abort, Action, Area, Object, Status, Unsigned, Updater,
     start::{Cause, Start, Why, decide},
 };
 
 use crate::{
     device::{Device, Loader, Runs},
     flash::{Chip, Operation},
-    program::file,
+    program::{expected, file},
 };
 
-const SECOND: u32 = 1_000_000;
+pub const SECOND: u32 = 1_000_000;
 const STATE: Result<(), Abort> = Err(Abort::DeviceState);
 
 fn device() -> Device {
@@ -19,13 +19,13 @@ fn device() -> Device {
     Device::new(Chip::with(&files[0], 0), files)
 }
 
-fn stopped() -> (Device, Loader) {
+pub fn stopped() -> (Device, Loader) {
     let mut device = device();
     let loader = *device.stop().expect("power");
     (device, loader)
 }
 
-fn values(loader: &Loader) -> [u32; 5] {
+pub fn values(loader: &Loader) -> [u32; 5] {
     use Object::{Control, FlashStatus, Software, Starts, State};
     [Control, Software, FlashStatus, State, Starts].map(|object| loader.read(object))
 }
@@ -34,7 +34,7 @@ fn crc(file: &[u8]) -> u32 {
     u32::from_le_bytes(file[12..16].try_into().expect("4 bytes"))
 }
 
-fn run(device: &mut Device, loader: &mut Loader) -> Option<Action> {
+pub fn run(device: &mut Device, loader: &mut Loader) -> Option<Action> {
     device.work(loader).expect("power")
 }
 
@@ -159,8 +159,15 @@ fn a_loader_without_any_program_stays_and_takes_the_first_one_without_a_trial() 
 fn a_download_needs_a_clear_and_after_its_first_word_another_one() {
     let (mut device, mut loader) = stopped();
     let file = device.files[1].clone();
-    assert_eq!(loader.write(0, &file[..7]), STATE);
+    assert_eq!(loader.write(0, &file[..511]), Ok(()), "the header is checked first");
+    assert_eq!(loader.write(511, &file[511..518]), STATE);
     assert_eq!(loader.read(Object::FlashStatus), 8, "status 4: not cleared");
+    assert_eq!(loader.write(518, &file[518..525]), STATE);
+    let mut other = file.clone();
+    other[20] ^= 1;
+    assert_eq!(loader.write(0, &other[..512]), Err(Abort::NotStored));
+    assert_eq!(loader.read(Object::FlashStatus), 252 << 16 | 2 << 1);
+    assert_eq!(device.chip.operations(), 0);
     loader.write_control(3).expect("it clears");
     run(&mut device, &mut loader);
     for len in [7, 512, 515] {
@@ -174,7 +181,7 @@ fn a_download_needs_a_clear_and_after_its_first_word_another_one() {
     loader.abort();
     run(&mut device, &mut loader);
     assert_eq!(loader.read(Object::FlashStatus), 8);
-    assert_eq!(loader.write(0, &file[..7]), STATE);
+    assert_eq!(loader.write(0, &file), STATE);
     assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()));
 }
 
@@ -183,9 +190,12 @@ fn a_client_may_download_right_after_clear_and_send_short_segments() {
     // The lengths of Zephyr's segments, of Lely's, and of a block.
     let zephyr = |offset: usize| if offset % 1024 == 1022 { 2 } else { 7 };
     for (slow, len) in [(0, None), (300, Some(7)), (40, Some(889)), (300, None)] {
-        let (device, mut loader) = stopped();
+        let device = device();
         device.chip.0.borrow_mut().slow = slow;
         let file = file(1, 64);
+        // The ring has room for a quarter of the program.
+        let (chip, expected) = (device.chip.clone(), expected(768));
+        let mut loader = Updater::<_, _, 16>::new(chip, Unsigned, expected, Why::Stop, 0);
         assert_eq!(loader.write_control(3), Ok(()));
         let mut offset = 0;
         while offset < file.len() {
@@ -246,69 +256,6 @@ fn an_abort_while_the_end_is_due_leaves_the_old_or_the_new_program() {
     panic!("the download is never answered");
 }
 
-/// Each operation of an update fails once in each way: the client sees it, and the next update succeeds.
-#[test]
-fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
-    let operations = {
-        let (mut device, mut loader) = stopped();
-        device.update(&mut loader, 1).expect("power").expect("it is right");
-        device.chip.0.borrow().operations.clone()
-    };
-    assert!(operations.len() > 250);
-    for fails in operations {
-        for how in [Some(FlashError::Failed), Some(FlashError::NotAllowed), None] {
-            let (mut device, mut loader) = stopped();
-            {
-                let mut state = device.chip.0.borrow_mut();
-                match (how, fails) {
-                    (Some(how), _) => state.fault = Some((fails, how)),
-                    (None, Operation::Program(area, offset)) => state.stuck = vec![(area, offset)],
-                    (None, Operation::Erase(_)) => continue,
-                }
-            }
-            let outcome = device.update(&mut loader, 1).expect("power");
-            let (old, status) = (device.files[0].clone(), loader.read(Object::FlashStatus));
-            // A word that is blank anyway may be stuck.
-            if how.is_some() || outcome.is_err() {
-                assert!(outcome.is_err(), "{fails:?} {how:?}");
-                let is_allowed = how != Some(FlashError::NotAllowed);
-                assert_eq!(status, if is_allowed { 5 << 1 } else { 7 << 1 }, "{fails:?} {how:?}");
-                let is_there = |area| device.chip.holds(area, &old);
-                assert!(is_there(Area::Run) || is_there(Area::Backup), "{fails:?} {how:?}");
-            }
-            {
-                let mut state = device.chip.0.borrow_mut();
-                (state.fault, state.stuck) = (None, Vec::new());
-            }
-            if outcome.is_err() {
-                assert_eq!(device.alone().expect("power"), 0, "{fails:?} {how:?}");
-                let mut loader = device.stop().expect("power");
-                assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()));
-            }
-        }
-    }
-}
-
-#[test]
-fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
-    let (mut device, mut loader) = stopped();
-    device.update(&mut loader, 1).expect("power").expect("it is right");
-    let erase = Operation::Erase(Area::Run);
-    device.chip.0.borrow_mut().fault = Some((erase, FlashError::NotAllowed));
-    for _ in 0..3 {
-        device.start().expect("power");
-    }
-    for _ in 0..3 {
-        let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("started") };
-        assert_eq!(run(&mut device, &mut loader), None);
-        assert_eq!(loader.read(Object::FlashStatus), 7 << 1);
-        device.now = device.now.wrapping_add(60 * SECOND);
-        assert_eq!(loader.poll(device.now), Some(Action::Reset), "it tries again");
-    }
-    device.chip.0.borrow_mut().fault = None;
-    assert_eq!(device.alone().expect("power"), 0);
-}
-
 #[test]
 fn five_starts_that_fail_in_a_row_keep_the_loader_for_60_s() {
     let mut device = device();
@@ -330,17 +277,13 @@ fn five_starts_that_fail_in_a_row_keep_the_loader_for_60_s() {
 }
 
 #[test]
-fn a_trial_that_the_flash_does_not_note_is_not_started() {
-    let (mut device, mut loader) = stopped();
-    device.update(&mut loader, 1).expect("power").expect("it is right");
-    let tries = [0x1CC, 0x1D0, 0x1D4].map(|offset| (Area::Backup, offset));
-    device.chip.0.borrow_mut().stuck = tries.to_vec();
-    let (start, _) = decide(&mut device.chip, device.mailbox, Cause::Other);
-    assert_eq!(start, Start::Loader(Why::Restore));
-    device.chip.0.borrow_mut().stuck.remove(2);
-    let (start, _) = decide(&mut device.chip, device.mailbox, Cause::Other);
-    assert_eq!(start, Start::Program, "a word takes it");
-    assert_eq!(device.alone().expect("power"), 0);
+fn a_watchdog_that_ends_the_loader_is_no_failure_of_the_program() {
+    let (mut chip, mut mailbox) = (Chip::blank(0), None);
+    for _ in 0..10 {
+        let (start, next) = decide(&mut chip, mailbox, Cause::Failure);
+        assert_eq!((start, next.failures), (Start::Loader(Why::NoProgram), 0));
+        mailbox = Some(next);
+    }
 }
 
 #[test]
