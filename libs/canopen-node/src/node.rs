@@ -6,11 +6,13 @@ mod agenda;
 mod areas;
 mod bit_rate;
 mod communication;
+mod master;
 mod messages;
 mod objects;
 mod periodic;
 mod process;
 mod product;
+mod program;
 mod receives;
 mod settings_object;
 mod verification;
@@ -19,7 +21,7 @@ use lss_slave::Slave;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
-    application::{Application, NoApplication},
+    application::{Application, Event, NoApplication},
     emergency::{APPLICATION, Emergency, Fault},
     lss::{self, Response, StateMachine, StoreError},
     nmt::{self, Command, slave::NmtSlave},
@@ -35,6 +37,7 @@ use communication::Communication;
 use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
+pub use program::{Confirmation, Program};
 pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
@@ -108,11 +111,15 @@ impl Storing {
         }
     }
 
-    /// Cancels the SDO client's request; a store in progress continues.
-    const fn forget_sdo(&mut self) {
-        self.sdo_request = None;
+    /// Cancels the SDO client's request; a store in progress continues. The own request of a master stays.
+    #[inline(always)] // Otherwise it takes code where the application is no master.
+    fn forget_sdo<A: Application>(&mut self) {
+        if !(A::IS_MASTER && self.sdo_request.is_some_and(|download| download.is_own())) {
+            self.sdo_request = None;
+        }
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
             && let Requester::Sdo(download) = *requester
+            && !(A::IS_MASTER && download.is_own())
         {
             *requester = Requester::Nobody(download);
         }
@@ -241,7 +248,7 @@ impl<A: Application> Node<A> {
         let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
         let Communication { pdos, consumer, .. } = &self.product.communication;
         Receives {
-            all: self.slave.bit_rate().needs_all_frames(),
+            all: A::IS_MASTER || self.slave.bit_rate().needs_all_frames(),
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
             rpdos: List::from_fn(|at| pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
             heartbeats: List::from_fn(|at| consumer.cob_id(at).unwrap_or(UNUSED)),
@@ -264,6 +271,9 @@ impl<A: Application> Node<A> {
     /// [`poll`](Self::poll) returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
+        if A::IS_MASTER {
+            self.product.application.hear(frame, now);
+        }
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
         if !bit_rate.is_settled() {
@@ -472,6 +482,7 @@ impl<A: Application> Node<A> {
         .chain(Communication::<A::Numbers>::entries::<A>())
         .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
         .chain(A::SETTINGS_BY_SDO.then(settings_object::entries).into_iter().flatten())
+        .chain(A::PROGRAM_DOWNLOAD.then(program::entries).into_iter().flatten())
     }
 
     /// Performs a step of a task. Without an action the task is over.
@@ -556,7 +567,7 @@ impl<A: Application> Node<A> {
             let mut settings = persistent;
             // Their object is in this area.
             let change = Area::Application.change(Some(download));
-            if A::SETTINGS_BY_SDO && change == Change::Renew {
+            if (A::SETTINGS_BY_SDO || A::IS_MASTER) && change == Change::Renew {
                 settings = self.storing.written.apply(settings, self.slave.lss());
             }
             (settings, Requester::Sdo(download))
@@ -574,6 +585,9 @@ impl<A: Application> Node<A> {
                     self.storing.lss_requests = self.storing.lss_requests.saturating_sub(1);
                     let answer = Response::StoreConfiguration(outcome);
                     return Some(Action::Transmit(answer.to_frame()));
+                }
+                Requester::Sdo(download) if A::IS_MASTER && download.is_own() => {
+                    self.product.application.handle(Event::Stored(outcome));
                 }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {

@@ -12,10 +12,11 @@ pub const PAGE: &str = "docs/conformance.md";
 /// What follows on the page is made.
 const BEGIN: &str = "<!-- `cargo verify conformance --index` writes what follows. -->\n";
 /// The folders with tests, each with a heading.
-const TESTS: [(&str, &str); 6] = [
+const TESTS: [(&str, &str); 7] = [
     ("tests/library", "Tests of the libraries, by frames in and frames out"),
     ("tests/image", "Tests of the release images on emulated boards"),
     ("libs/lss-master/tests", "Tests of the master"),
+    ("libs/program-update/tests/update", "Tests of program updates"),
     ("proof/conformance/tests/sabotage", "Tests of the cases"),
     ("tests/model/tests", "Tests of a small network as a model"),
     ("tests", "Further tests"),

@@ -1,5 +1,6 @@
-//! A program without a panic handler that calls all of the node, its runner, the settings log, the indicators and the
-//! LSS master with unknown values: it links only if the compiler has proved that none of these calls panics.
+//! A program without a panic handler that calls all of the node, its runner, the settings log, the indicators, the
+//! LSS master and program updates with unknown values: it links only if the compiler has proved that none of these
+//! calls panics.
 
 #![no_std]
 #![no_main]
@@ -7,6 +8,7 @@
 mod master;
 mod parameters;
 mod runner;
+mod update;
 
 use core::{
     hint::{black_box, spin_loop},
@@ -47,6 +49,7 @@ extern "C" fn _start() -> ! {
     parameters::keep();
     indicate();
     master::command();
+    update::install();
     #[cfg(feature = "panic")]
     assert_ne!(black_box(1), 2);
     loop {

@@ -76,7 +76,8 @@ impl fmt::Debug for Devices {
 /// The one slave of rsemu's bus, which passes each word on to the selected device.
 impl SpiSlave for Devices {
     fn format(&self) -> Format {
-        Format::DEFAULT
+        // The master takes the lower 8 bits if its words have no more.
+        Format { bits: 16, ..Format::DEFAULT }
     }
 
     fn select(&self, _: bool) {}

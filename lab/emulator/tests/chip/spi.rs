@@ -21,7 +21,7 @@ const BSY: u32 = 1 << 7;
 const MASTER: u32 = 1 << 9 | 1 << 8 | 1 << 6 | 1 << 2;
 const DFF: u32 = 1 << 11;
 
-/// Notes what it gets, and gives the words 81h, 82h and so on.
+/// Notes what it gets, and gives the words AB81h, AB82h and so on.
 #[derive(Clone, Default)]
 struct Sensor(Arc<Mutex<Vec<String>>>);
 
@@ -39,7 +39,7 @@ impl SpiDevice for Sensor {
     fn transfer(&mut self, word: u16) -> u16 {
         let mut noted = self.0.lock().expect("no panic");
         noted.push(format!("{word:X}"));
-        0x80 + noted.len() as u16
+        0xAB80 + noted.len() as u16
     }
 }
 
@@ -77,7 +77,7 @@ fn a_device_takes_and_gives_words_while_its_pin_is_low() {
     assert_eq!(sensor.noted(), ["select true", "A5", "1", "select false"]);
     rig.write_all(&[(SPI1 + CR1, 0), (SPI1 + CR1, MASTER | DFF)]);
     select(&mut rig, true);
-    assert_eq!(transfer(&mut rig, 0xBEEF), 0x82);
+    assert_eq!(transfer(&mut rig, 0xBEEF), 0xAB82);
     assert_eq!(sensor.noted(), ["select true", "BEEF"]);
     assert_eq!(rig.problems(), []);
 }

@@ -12,6 +12,7 @@ impl<A: Application> Node<A> {
         let state = match command {
             Command::ResetNode => return Some(Action::ResetDevice),
             Command::ResetCommunication => return Some(self.reset_communication()),
+            Command::Start if !A::MAY_OPERATE => return None,
             Command::Start => nmt::State::Operational,
             Command::Stop => nmt::State::Stopped,
             Command::EnterPreOperational => nmt::State::PreOperational,

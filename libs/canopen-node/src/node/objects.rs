@@ -6,16 +6,17 @@ use core::cmp::Ordering;
 use lss_slave::Slave;
 
 use super::{
-    Node, Storing, Task, Tasks, areas::Download, communication::Communication, settings_object,
+    Confirmation, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
+    program, settings_object,
 };
 use crate::{
-    Device, Frame, Instant,
+    Device, Frame, Instant, Program,
     application::Application,
     emergency::Emergency,
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, Entry, Object, TABLE},
-    sdo::{self, Abort, Content, Message, Objects},
+    sdo::{self, Abort, BLOCK_SIZE, Content, Message, Objects},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -36,6 +37,11 @@ impl<A: Application> Node<A> {
     pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Frame> {
         // A boot-up may precede the answer.
         self.slave.note_asked();
+        if A::PROGRAM_DOWNLOAD
+            && let Some(program) = self.product.application.program()
+        {
+            program.requested();
+        }
         self.sdo.handle(request, self.serves_sdo());
         if self.is_due(now) {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
@@ -61,6 +67,9 @@ impl<A: Application> Node<A> {
         if self.nmt.is_boot_up_due() {
             return None;
         }
+        if A::PROGRAM_DOWNLOAD && self.holds_answer(now) {
+            return None;
+        }
         let mut objects = NodeObjects {
             device: &self.product.device,
             slave: &mut self.slave,
@@ -78,7 +87,9 @@ impl<A: Application> Node<A> {
         if effects.has(Task::Pdos) {
             self.note_values();
         }
-        self.sdo_frame(answer?)
+        let answer = answer?;
+        self.note_answer();
+        self.sdo_frame(answer)
     }
 
     /// The frame of an answer to the SDO client.
@@ -91,13 +102,13 @@ impl<A: Application> Node<A> {
     pub(super) fn end_sdo(&mut self) {
         self.end_sdo_transfer();
         self.sdo.reset();
-        self.storing.forget_sdo();
+        self.storing.forget_sdo::<A>();
     }
 
     /// Discards the current SDO transfer without an answer to the client.
     pub(super) fn end_sdo_transfer(&mut self) {
-        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.product.application.abort_domain(*index, *sub_index);
+        if let Some(entry) = self.sdo.domain() {
+            abort_domain(&mut self.product.application, entry);
         }
         self.sdo.end_transfer();
     }
@@ -119,8 +130,12 @@ pub(super) struct NodeObjects<'a, A: Application> {
 
 impl<A: Application> Objects for NodeObjects<'_, A> {
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+    const PROGRAM_DOWNLOAD: bool = A::PROGRAM_DOWNLOAD;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
+        if A::PROGRAM_DOWNLOAD && program::contains(index) {
+            return Ok(object_dictionary::find(program::ROWS, index, sub_index)?);
+        }
         let of_communication = Communication::<A::Numbers>::table(index);
         let table = match A::OBJECTS.first() {
             _ if A::SETTINGS_BY_SDO && index == settings_object::INDEX => settings_object::ROWS,
@@ -134,6 +149,10 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let node_id = self.slave.lss().active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
+                if A::PROGRAM_DOWNLOAD && program::contains(entry.index) {
+                    let value = self.program()?.read(entry.index, entry.sub_index);
+                    return Ok(Content::Number(value));
+                }
                 if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
                     self.effects.add(Self::VALUES);
@@ -193,6 +212,12 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         bytes: &[u8],
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::CONTROL {
+            let [value] = *bytes else { return Err(Abort::TooLong) };
+            let (answer, state) = (confirmation_of(entry, confirmation), self.nmt.state());
+            let answer = self.program()?.control(value, state, answer)?;
+            return Ok(answer.map(|answer| answer.message));
+        }
         self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
@@ -248,7 +273,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn forget_store(&mut self) {
-        self.storing.forget_sdo();
+        self.storing.forget_sdo::<A>();
     }
 
     fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
@@ -266,6 +291,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+            return self.program()?.write(offset, bytes);
+        }
         self.effects.add(Self::VALUES);
         self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
@@ -275,9 +303,29 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         self.application.end_domain(entry.index, entry.sub_index, len)
     }
 
+    fn end_program(
+        &mut self,
+        entry: &Entry,
+        len: u32,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        let answer = self.program()?.end(len, confirmation_of(entry, confirmation))?;
+        Ok(answer.map(|answer| answer.message))
+    }
+
     fn abort_domain(&mut self, entry: &Entry) {
         self.effects.add(Self::VALUES);
-        self.application.abort_domain(entry.index, entry.sub_index);
+        abort_domain(self.application, entry);
+    }
+
+    fn grant(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.grant())
+    }
+
+    fn granted(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.granted())
     }
 }
 
@@ -294,9 +342,27 @@ const fn tasks_of(object: Object) -> Tasks {
     }
 }
 
+/// Discards what a client has written of a domain.
+fn abort_domain<A: Application>(application: &mut A, entry: &Entry) {
+    if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+        application.program().into_iter().for_each(|program| program.abort());
+        return;
+    }
+    application.abort_domain(entry.index, entry.sub_index);
+}
+
+/// The answer to the download of an object, for an application that gives it later.
+const fn confirmation_of(entry: &Entry, message: Message) -> Confirmation {
+    Confirmation { index: entry.index, sub_index: entry.sub_index, message }
+}
+
 impl<A: Application> NodeObjects<'_, A> {
     /// The task for values of the application that may have changed.
     const VALUES: Tasks = tasks_of(Object::Application(0));
+
+    fn program(&mut self) -> Result<&mut dyn Program, Abort> {
+        self.application.program().ok_or(Abort::DeviceState)
+    }
 
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {

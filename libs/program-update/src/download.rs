@@ -1,0 +1,121 @@
+//! A download on its way into the flash: the header in RAM, and a ring of the words after it.
+
+use crate::header::{HEADER_LEN, Header};
+
+/// The bytes of the header.
+const HEADER: u32 = HEADER_LEN as u32;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Phase {
+    None,
+    Receiving,
+    /// The client waits for the answer to the end.
+    Ended,
+}
+
+pub(crate) struct Download<const WORDS: usize> {
+    pub phase: Phase,
+    /// The header, once it is accepted.
+    pub header: Option<Header>,
+    bytes: [u8; HEADER_LEN],
+    /// The bytes that have come, with those of the header.
+    received: u32,
+    /// The bytes of a word that is not complete.
+    partial: u32,
+    ring: [u32; WORDS],
+    first: usize,
+    len: usize,
+    /// The words that were taken from the ring.
+    pub taken: u32,
+}
+
+impl<const WORDS: usize> Download<WORDS> {
+    pub fn new() -> Self {
+        Self {
+            phase: Phase::None,
+            header: None,
+            bytes: [0; HEADER_LEN],
+            received: 0,
+            partial: 0,
+            ring: [0; WORDS],
+            first: 0,
+            len: 0,
+            taken: 0,
+        }
+    }
+
+    pub fn begin(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.header = None;
+        (self.received, self.partial, self.taken) = (0, 0, 0);
+        (self.first, self.len) = (0, 0);
+    }
+
+    pub fn bytes(&self) -> &[u8; HEADER_LEN] {
+        &self.bytes
+    }
+
+    pub fn received(&self) -> u32 {
+        self.received
+    }
+
+    /// The length of the whole file, as its header says.
+    pub fn expected_len(&self) -> u32 {
+        self.header.map_or(HEADER, |header| header.length.saturating_add(HEADER))
+    }
+
+    /// The bytes of the header that have not come yet.
+    pub fn header_left(&self) -> usize {
+        HEADER.saturating_sub(self.received) as usize
+    }
+
+    /// The bytes that [`take`](Self::take) has room for.
+    pub fn room(&self) -> usize {
+        let words = WORDS.saturating_sub(self.len);
+        (words.saturating_mul(4))
+            .saturating_sub((self.received % 4) as usize)
+            .saturating_add(self.header_left())
+    }
+
+    /// Takes the next bytes, for which there is room.
+    pub fn take(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            if let Some(place) = self.bytes.get_mut(self.received as usize) {
+                *place = *byte;
+            } else {
+                let place = 8 * (self.received % 4);
+                self.partial |= u32::from(*byte) << place;
+                if place == 24 {
+                    self.push();
+                }
+            }
+            self.received = self.received.wrapping_add(1);
+        }
+    }
+
+    fn push(&mut self) {
+        if let Some(place) = self.ring.get_mut(wrapped::<WORDS>(self.first, self.len)) {
+            *place = self.partial;
+            self.len = self.len.wrapping_add(1);
+        }
+        self.partial = 0;
+    }
+
+    /// The word that comes next into the flash.
+    pub fn pop(&mut self) -> Option<u32> {
+        self.len = self.len.checked_sub(1)?;
+        let word = self.ring.get(self.first).copied();
+        self.first = wrapped::<WORDS>(self.first, 1);
+        self.taken = self.taken.wrapping_add(1);
+        word
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+}
+
+fn wrapped<const WORDS: usize>(first: usize, more: usize) -> usize {
+    let sum = first.wrapping_add(more);
+    if sum >= WORDS { sum.wrapping_sub(WORDS) } else { sum }
+}

@@ -1,0 +1,85 @@
+//! A download on its way from the RAM into RUN: its words, the check of the whole, its header, and LOADED.
+
+use super::{
+    Action, Cleared, Updater,
+    steps::{BLANK, CHUNK, HEADER, Step},
+};
+use crate::{
+    Abort, Area, Flash, FlashError, Status, Verify, crc,
+    download::Phase,
+    header::Field,
+    journal::{self, LOADED, SET},
+};
+
+impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
+    /// Writes the next word of a download; after the last one its check begins.
+    pub(super) fn write_download(&mut self) -> Result<(), FlashError> {
+        if !matches!(self.cleared, Cleared::Yes | Cleared::Used) {
+            return Ok(());
+        }
+        let offset = HEADER.wrapping_add(self.download.taken.wrapping_mul(4));
+        if let Some(word) = self.download.pop() {
+            self.cleared = Cleared::Used;
+            self.verify.add(word);
+            self.program(Area::Run, offset, word)?;
+        } else if self.download.phase == Phase::Ended {
+            self.step = Step::Check { word: 0, crc: crc::BEGIN };
+        }
+        Ok(())
+    }
+
+    pub(super) fn check(&mut self, word: u32, crc: u32) -> Result<Option<Action>, FlashError> {
+        let Some(header) = self.download.header else { return Ok(None) };
+        let left = (header.length / 4).saturating_sub(word);
+        let words = left.min(CHUNK);
+        let offset = HEADER.wrapping_add(word.wrapping_mul(4));
+        let crc = self.flash.crc(Area::Run, offset, words, crc);
+        if words < left {
+            self.step = Step::Check { word: word.wrapping_add(words), crc };
+            return Ok(None);
+        }
+        let stack_pointer = self.flash.read(Area::Run, HEADER);
+        let reset = self.flash.read(Area::Run, HEADER + 4);
+        let is_other = self.verify.sha256().is_some_and(|hash| hash != header.sha256);
+        let outcome = if !crc != header.crc {
+            Err(Status::Damaged(Field::Crc))
+        } else if is_other {
+            Err(Status::Damaged(Field::Hash))
+        } else {
+            header.check_vectors(&self.expected, stack_pointer, reset)
+        };
+        Ok(match outcome {
+            Ok(()) => {
+                self.step = Step::Seal(0);
+                None
+            }
+            Err(status) => {
+                self.step = Step::Idle;
+                self.refuse(status);
+                Some(Action::Answer(Err(Abort::Hardware)))
+            }
+        })
+    }
+
+    /// Writes the header, backwards, then marks the program as complete. Without a program before it, there is no trial.
+    pub(super) fn seal(&mut self, word: u32) -> Result<(), FlashError> {
+        if let Some(offset) = header_place(word) {
+            let at = self.download.bytes().get(offset as usize..);
+            let value = at.and_then(<[u8]>::first_chunk).copied().map_or(BLANK, u32::from_le_bytes);
+            self.program(Area::Run, offset, value)?;
+            self.step = Step::Seal(word.wrapping_add(1));
+        } else {
+            if self.journal.is_saved() {
+                self.mark(LOADED, SET, true)?;
+            }
+            self.step = Step::Done;
+        }
+        Ok(())
+    }
+}
+
+/// The offset of a word of the header in the order of writing. What follows the header's fields is blank, or the journal.
+pub(super) fn header_place(word: u32) -> Option<u32> {
+    let last = journal::OFFSET - 4;
+    last.checked_sub(word.checked_mul(4)?)
+}

@@ -1,0 +1,134 @@
+//! A flash that fails, forgets or is write-protected: the status that a client sees, and what runs afterwards.
+
+use program_update::{
+    Abort, Action, Area, FlashError, Object,
+    start::{Cause, Start, Why, decide},
+};
+
+use crate::{
+    device::{Device, Runs},
+    flash::{Chip, Operation},
+    objects::{SECOND, run, stopped, values},
+    program::file,
+};
+
+#[test]
+fn a_program_with_a_wrong_bit_is_not_started_but_the_one_before() {
+    for at in [0, 200, 515, 591] {
+        let mut damaged = file(1, 20);
+        damaged[at] ^= 4;
+        let mut device = Device::new(Chip::with(&damaged, 0), Vec::new());
+        let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("started") };
+        assert_eq!(values(&loader)[..3], [3, 0, 1 << 1]);
+        assert_eq!(loader.poll(100 * SECOND), None);
+
+        let (mut device, mut loader) = stopped();
+        device.update(&mut loader, 1).expect("power").expect("it is right");
+        device.start().expect("power");
+        device.confirm().expect("power").expect("it is confirmed");
+        device.chip.put(Area::Run, &damaged);
+        assert_eq!(device.alone().expect("power"), 0);
+        device.chip.put(Area::Run, &damaged);
+        device.chip.put(Area::Backup, &damaged);
+        let Runs::Loader(loader) = device.start().expect("power") else { panic!("started") };
+        assert!(loader.is_without_program());
+    }
+}
+
+/// Each operation of an update fails once in each way: the client sees it, and the next update succeeds.
+#[test]
+fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
+    let operations = {
+        let (mut device, mut loader) = stopped();
+        device.update(&mut loader, 1).expect("power").expect("it is right");
+        device.chip.0.borrow().operations.clone()
+    };
+    assert!(operations.len() > 250);
+    for fails in operations {
+        for how in [Some(FlashError::Failed), Some(FlashError::NotAllowed), None] {
+            let (mut device, mut loader) = stopped();
+            {
+                let mut state = device.chip.0.borrow_mut();
+                match (how, fails) {
+                    (Some(how), _) => state.fault = Some((fails, how)),
+                    (None, Operation::Program(area, offset)) => state.stuck = vec![(area, offset)],
+                    (None, Operation::Erase(_)) => continue,
+                }
+            }
+            let outcome = device.update(&mut loader, 1).expect("power");
+            let (old, status) = (device.files[0].clone(), loader.read(Object::FlashStatus));
+            // A word that is blank anyway may be stuck.
+            if how.is_some() || outcome.is_err() {
+                assert!(outcome.is_err(), "{fails:?} {how:?}");
+                let is_allowed = how != Some(FlashError::NotAllowed);
+                assert_eq!(status, if is_allowed { 5 << 1 } else { 7 << 1 }, "{fails:?} {how:?}");
+                let is_there = |area| device.chip.holds(area, &old);
+                assert!(is_there(Area::Run) || is_there(Area::Backup), "{fails:?} {how:?}");
+            }
+            {
+                let mut state = device.chip.0.borrow_mut();
+                (state.fault, state.stuck) = (None, Vec::new());
+            }
+            if outcome.is_err() {
+                assert_eq!(device.alone().expect("power"), 0, "{fails:?} {how:?}");
+                let mut loader = device.stop().expect("power");
+                assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_copy_in_which_a_word_has_changed_does_not_count() {
+    // The magic bytes, which come last.
+    let last = |area| Operation::Program(area, 0);
+    let (mut device, mut loader) = stopped();
+    device.chip.0.borrow_mut().spoils = Some((last(Area::Backup), (Area::Backup, 560)));
+    assert_eq!(device.update(&mut loader, 1).expect("power"), Err(Abort::Hardware));
+    assert_eq!(loader.read(Object::FlashStatus), 5 << 1);
+    assert_eq!(device.alone().expect("power"), 0);
+
+    device.chip.0.borrow_mut().spoils = Some((last(Area::Run), (Area::Run, 560)));
+    let mut loader = device.stop().expect("power");
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("no restore") };
+    assert_eq!(run(&mut device, &mut loader), None);
+    assert_eq!(loader.read(Object::FlashStatus), 5 << 1);
+    device.chip.0.borrow_mut().spoils = None;
+    assert_eq!(device.alone().expect("power"), 0);
+}
+
+#[test]
+fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
+    let (mut device, mut loader) = stopped();
+    device.update(&mut loader, 1).expect("power").expect("it is right");
+    let erase = Operation::Erase(Area::Run);
+    device.chip.0.borrow_mut().fault = Some((erase, FlashError::NotAllowed));
+    for _ in 0..3 {
+        device.start().expect("power");
+    }
+    for _ in 0..3 {
+        let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("started") };
+        assert_eq!(run(&mut device, &mut loader), None);
+        assert_eq!(loader.read(Object::FlashStatus), 7 << 1);
+        device.now = device.now.wrapping_add(60 * SECOND);
+        assert_eq!(loader.poll(device.now), Some(Action::Reset), "it tries again");
+    }
+    device.chip.0.borrow_mut().fault = None;
+    assert_eq!(device.alone().expect("power"), 0);
+}
+
+#[test]
+fn a_trial_that_the_flash_does_not_note_is_not_started() {
+    let (mut device, mut loader) = stopped();
+    device.update(&mut loader, 1).expect("power").expect("it is right");
+    let tries = [0x1CC, 0x1D0, 0x1D4].map(|offset| (Area::Backup, offset));
+    device.chip.0.borrow_mut().stuck = tries.to_vec();
+    let (start, _) = decide(&mut device.chip, device.mailbox, Cause::Other);
+    assert_eq!(start, Start::Loader(Why::Restore));
+    device.chip.0.borrow_mut().stuck.remove(2);
+    let (start, _) = decide(&mut device.chip, device.mailbox, Cause::Other);
+    assert_eq!(start, Start::Program, "a word takes it");
+    assert_eq!(device.alone().expect("power"), 0);
+}
