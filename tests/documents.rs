@@ -8,9 +8,10 @@ use std::{
 use testkit::cargo::workspace;
 
 /// The directories with documents.
-const DIRECTORIES: [&str; 7] = [
+const DIRECTORIES: [&str; 8] = [
     "",
     "docs",
+    "examples/commissioner",
     "libs/canopen-node",
     "libs/lss-master",
     "libs/lss-slave",

@@ -1,5 +1,5 @@
-//! Checks the choice of the chip, and passes `image.x` and the sizes of the chip's memory to the linker. Does nothing on
-//! the host.
+//! Checks the choice of the chip, and passes the linker scripts and the sizes of the chip's memory to the linker. Does
+//! nothing on the host.
 
 use std::{env, fs, path::PathBuf};
 
@@ -7,8 +7,13 @@ use std::{env, fs, path::PathBuf};
 #[allow(dead_code, reason = "part of it is for the firmware")]
 mod chip;
 
+/// The places of an image in memory: on its own, and with a loader.
+const SCRIPTS: [&str; 3] = ["image.x", "loader.x", "program.x"];
+
 fn main() {
-    println!("cargo::rerun-if-changed=image.x");
+    for script in SCRIPTS {
+        println!("cargo::rerun-if-changed={script}");
+    }
     println!("cargo::rerun-if-changed=src/chip.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
         return;
@@ -20,9 +25,16 @@ fn main() {
         return;
     };
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    let sizes = format!("FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\n", chip.flash_kb, chip.ram_kb);
+    let sizes = format!(
+        "FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\nRUN_SIZE = {}K;\n",
+        chip.flash_kb,
+        chip.ram_kb,
+        chip.run_kb()
+    );
     fs::write(out.join("chip.x"), sizes).expect("OUT_DIR is writable");
     // Cargo corrects this path in a copy of the folder that has its `target`, and no other.
-    fs::copy("image.x", out.join("image.x")).expect("OUT_DIR is writable");
+    for script in SCRIPTS {
+        fs::copy(script, out.join(script)).expect("OUT_DIR is writable");
+    }
     println!("cargo::rustc-link-search={}", out.display());
 }

@@ -3,6 +3,7 @@
 mod application;
 mod application_arrays;
 mod application_events;
+mod application_master;
 mod application_own;
 mod bit_rate_solver;
 mod bus_listening;
@@ -48,6 +49,7 @@ mod settings_faults;
 mod settings_log;
 mod settings_power_cut;
 mod settings_room;
+mod slave_actions;
 mod supervision;
 mod supervision_guest;
 mod supervision_random;

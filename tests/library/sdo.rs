@@ -180,8 +180,12 @@ fn a_refused_request_is_answered_by_the_abort_code_of_its_reason() {
 fn a_reset_discards_a_request_that_waits_for_the_bus() {
     let device = device(ADDRESS).with_rescue(true).with_defaults(defaults(0x40));
     let mut board = NodeRig::of(device);
+    // The command comes first.
+    let command = Frame::new(0x000, &[0x80, 0x40]).unwrap();
     let request = Frame::new(0x640, &[0x40, 0x18, 0x10, 0x04, 0, 0, 0, 0]).unwrap();
-    assert!(board.node.handle_frame(&request, Instant::from_micros(0)).is_none());
+    for frame in [command, request] {
+        assert!(board.node.handle_frame(&frame, Instant::from_micros(0)).is_none());
+    }
     board.report(BusEvent::BusOff);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
 }

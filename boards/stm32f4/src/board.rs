@@ -8,6 +8,8 @@ use stm32f4xx_hal::{
     time::Hertz,
 };
 
+#[cfg(feature = "update")]
+use crate::update;
 use crate::{
     can::{CanPins, Controller, Peripheral},
     chip::{APB1_HZ, SYSCLK_HZ, UNIQUE_ID},
@@ -37,8 +39,8 @@ pub struct Board {
     pub rcc: Rcc,
     /// The watchdog, for tasks of the product that it shall wait for.
     pub watchdog: Watchdog,
-    alarm: Alarm,
-    flash: SettingsFlash,
+    pub(crate) alarm: Alarm,
+    pub(crate) flash: SettingsFlash,
 }
 
 impl Board {
@@ -83,6 +85,10 @@ impl Board {
         let stored = log.settings();
         let mut node = Node::with_application(device, stored, application);
         let found = runner::restore(&mut node, &mut log, found);
+        #[cfg(feature = "update")]
+        if let Some(in_force) = update::take_in_force() {
+            node = node.with_in_force(in_force.settings, in_force.heartbeat_ms);
+        }
         crate::log::found(found, &stored.unwrap_or(device.defaults));
         let can = Controller::new(can, pins, &mut self.rcc);
         // The start may have erased a sector, so the first roll call comes later.

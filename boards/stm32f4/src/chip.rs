@@ -27,10 +27,27 @@ pub struct Chip {
     pub is_selected: bool,
 }
 
+/// The address of RUN, where a program that can be replaced over the bus begins with its header: that of sector 4.
+pub const RUN: u32 = 0x0801_0000;
+/// KB of each sector from 5 on, and of sector 4.
+const LARGE_KB: u32 = 128;
+const SECTOR_4_KB: u32 = 64;
+
 impl Chip {
     /// The chip of this feature.
     pub fn named(feature: &str) -> Option<Self> {
         CHIPS.into_iter().find(|chip| chip.feature == feature)
+    }
+
+    /// The number of sectors of RUN, the place of a program that can be replaced over the bus: sector 4 and those after
+    /// it. As many sectors after those are BACKUP, which has a copy of the program before.
+    pub const fn run_sectors(&self) -> u32 {
+        self.flash_kb / LARGE_KB / 2
+    }
+
+    /// KB of RUN.
+    pub const fn run_kb(&self) -> u32 {
+        (self.run_sectors() - 1) * LARGE_KB + SECTOR_4_KB
     }
 }
 

@@ -41,12 +41,15 @@ mod supply;
 mod task;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "update")]
+pub mod update;
 #[cfg(target_os = "none")]
 pub mod watchdog;
 
 #[cfg(target_os = "none")]
 pub use crate::{
     board::Board,
+    clock::now,
     crystal::Crystal,
     led::{Indicators, Led},
     runner::{Runner, Storage},

@@ -27,6 +27,8 @@ impl System for Alarm {
     }
 
     fn reset(&mut self) {
+        #[cfg(feature = "update")]
+        crate::update::note_reset();
         SCB::sys_reset();
     }
 

@@ -37,3 +37,10 @@ impl Supply {
         self.detector.csr().read().pvdo().bit_is_set()
     }
 }
+
+/// The same for those who have no handle of the detector, which is on.
+#[cfg(feature = "update")]
+pub fn is_low() -> bool {
+    // SAFETY: reading the state has no effect.
+    unsafe { &*PWR::ptr() }.csr().read().pvdo().bit_is_set()
+}

@@ -36,6 +36,12 @@ fn silent() -> &'static AtomicU16 {
     unsafe { SILENT.assume_init_ref() }
 }
 
+/// Whether all tasks have answered the latest roll call that is over.
+#[cfg(feature = "update")]
+pub(crate) fn all_have_answered() -> bool {
+    silent().load(Ordering::Relaxed) == 0
+}
+
 /// Logs a reset by the watchdog, with the tasks that were silent before it.
 pub(crate) fn log_reset() {
     defmt::warn!("reset by the watchdog: a task did not run in time");

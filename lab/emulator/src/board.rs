@@ -363,6 +363,11 @@ impl Board {
         (self.engine.cycles(), self.engine.busy_cycles())
     }
 
+    /// The number of times so far that the core has waited for a bank of the flash that was busy.
+    pub fn flash_stalls(&self) -> u64 {
+        self.engine.stalls()
+    }
+
     /// The fault registers, if the core is locked up.
     pub fn lockup(&self) -> Option<Lockup> {
         self.engine.lockup()

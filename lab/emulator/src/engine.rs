@@ -51,6 +51,9 @@ pub trait Engine: Send {
     /// Core clock cycles since the engine was created in which the CPU was not asleep.
     fn busy_cycles(&self) -> u64;
 
+    /// The number of times that the CPU has waited for a bank of the flash that was busy.
+    fn stalls(&self) -> u64;
+
     /// Copies out of RAM or flash; outside of them, returns false and copies nothing.
     fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool;
 

@@ -126,10 +126,34 @@ pub(crate) fn build_with(
     part: Part,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
+    build_bin(directory, [package, package, "release"], part, change)
+}
+
+/// Builds the loader of a product in `directory`, which has the name of its package, and returns the ELF file.
+pub(crate) fn build_loader(
+    directory: &Path,
+    package: &str,
+    part: Part,
+    change: impl FnOnce(&mut Command),
+) -> anyhow::Result<Vec<u8>> {
+    let bin = format!("{package}-loader");
+    build_bin(directory, [package, &bin, "loader"], part, |command| {
+        // There is no room for a log.
+        command.env("DEFMT_LOG", "off");
+        change(command);
+    })
+}
+
+fn build_bin(
+    directory: &Path,
+    [package, bin, profile]: [&str; 3],
+    part: Part,
+    change: impl FnOnce(&mut Command),
+) -> anyhow::Result<Vec<u8>> {
     let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
     let mut command = cargo_for_the_chip(directory, "build")?;
     command
-        .args(["--package", package, "--bin", package, "--release"])
+        .args(["--package", package, "--bin", bin, "--profile", profile])
         .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
         .stdin(Stdio::null())
         .stderr(Stdio::inherit());

@@ -13,6 +13,8 @@ pub mod explain;
 pub mod flash;
 pub mod frames;
 #[cfg(feature = "image")]
+pub mod hex;
+#[cfg(feature = "image")]
 pub mod image;
 #[cfg(feature = "image")]
 pub mod image_rig;
@@ -40,5 +42,7 @@ pub mod storm;
 pub mod supervised;
 #[cfg(feature = "image")]
 pub mod unmodelled;
+#[cfg(feature = "image")]
+pub mod update;
 #[cfg(feature = "image")]
 pub mod wire;

@@ -291,6 +291,12 @@ impl<A: Application + Clone> NodeRig<A> {
         self.bit_rate
     }
 
+    /// Carries out an action that no frame and no time has led to, such as an answer that was due.
+    pub fn act(&mut self, action: Option<Action>) {
+        self.carry_out(action);
+        self.run();
+    }
+
     /// The node's actions since the last call of this or of `timeline`.
     pub fn take_actions(&mut self) -> Vec<Action> {
         self.take_timed_actions().map(|(_, action)| action).collect()

@@ -1,9 +1,11 @@
 //! Products made from the folder `template/`: those of `cargo xtask new-product`, and for tests on other controllers.
 
+mod update;
+
 use std::{
-    fs, io,
+    fs, io, mem,
     path::{Component, Path, PathBuf},
-    process::Stdio,
+    process::{Command, Stdio},
 };
 
 use anyhow::Context;
@@ -46,7 +48,7 @@ pub fn build_changed(
     changes: &[(&str, &str, &str)],
 ) -> anyhow::Result<Vec<u8>> {
     let folder = workspace().join("target/products").join(name);
-    let product = Product { name, chip, controller, git: None, folder: &folder };
+    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: false };
     let mut files = product.files()?;
     for (path, from, to) in changes {
         let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
@@ -60,6 +62,20 @@ pub fn build_changed(
     })
 }
 
+/// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
+pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
+    let folder = workspace().join("target/products").join(name);
+    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: true };
+    product.write()?;
+    let change = |command: &mut Command| {
+        // The HAL is built there already.
+        command.arg("--target-dir").arg(workspace().join("target"));
+    };
+    let loader = image::build_loader(&folder, name, chip, change)?;
+    let program = image::build_with(&folder, name, chip, change)?;
+    Ok([Image::from_elf(&loader)?, Image::from_elf(&program)?])
+}
+
 /// A product to be made.
 pub struct Product<'a> {
     pub name: &'a str,
@@ -69,6 +85,8 @@ pub struct Product<'a> {
     /// The URL of this repository; `None`: its path.
     pub git: Option<&'a str>,
     pub folder: &'a Path,
+    /// The program can be replaced over the bus, by a loader.
+    pub has_update: bool,
 }
 
 impl Product<'_> {
@@ -97,15 +115,26 @@ impl Product<'_> {
             files.push((path, read(path)?));
         }
         for path in OF_FIRMWARE {
-            let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
-            files.push((path, self.exchanges().iter().fold(read(path)?, exchange)));
+            files.push((path, read(path)?));
         }
         for path in TEMPLATE {
-            let template = read(&format!("template/{path}"))?;
-            let content = words
-                .iter()
-                .fold(template, |text, (word, with)| text.replace(&format!("@{word}@"), with));
-            files.push((path, content));
+            files.push((path, read(&format!("template/{path}"))?));
+        }
+        if self.has_update {
+            update::add(&mut files, read)?;
+        }
+        let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
+        let fill =
+            |text: String, (word, with): &(&str, String)| text.replace(&format!("@{word}@"), with);
+        for (path, content) in &mut files {
+            let text = mem::take(content);
+            *content = match () {
+                () if COPIES.contains(path) => text,
+                () if TEMPLATE.contains(path) || *path == update::UPDATE_FILE => {
+                    words.iter().fold(text, fill)
+                }
+                () => self.exchanges().iter().fold(text, exchange),
+            };
         }
         Ok(files)
     }
@@ -178,8 +207,6 @@ impl Product<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::process::Command;
-
     use toml::Table;
 
     use super::*;
@@ -190,7 +217,8 @@ mod tests {
         git: Option<&str>,
         folder: &Path,
     ) -> Vec<(&'static str, String)> {
-        let product = Product { name: "door-lock", chip, controller, git, folder };
+        let product =
+            Product { name: "door-lock", chip, controller, git, folder, has_update: false };
         product.files().expect("this repository has what a product needs")
     }
 
@@ -210,14 +238,20 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(tracked.lines().count(), TEMPLATE.len(), "{tracked}");
+        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len(), "{tracked}");
     }
 
     #[test]
     fn the_words_of_the_firmware_that_a_product_has_others_for_are_in_it() {
         let folder = Path::new("/products/door-lock");
-        let product =
-            Product { name: "door-lock", chip: Part::Stm32f446, controller: 2, git: None, folder };
+        let product = Product {
+            name: "door-lock",
+            chip: Part::Stm32f446,
+            controller: 2,
+            git: None,
+            folder,
+            has_update: false,
+        };
         let read = |path| fs::read_to_string(workspace().join(path)).expect("a file");
         let firmware: String = OF_FIRMWARE.into_iter().map(read).collect();
         let files = product.files().expect("this repository has what a product needs");

@@ -147,26 +147,38 @@ impl<A: Application + Clone> SlaveBus<A> {
         self.enqueue(at, Source::OtherMaster, frame);
     }
 
+    /// The time at which something happens next, in microseconds since the beginning; `u64::MAX`: nothing does.
+    pub fn next_at(&self) -> u64 {
+        let due = self.next_slave().map_or(NEVER, |(at, _)| at);
+        let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
+        self.next_delivery().min(self.next_happening()).min(due).min(flight)
+    }
+
+    fn next_delivery(&self) -> u64 {
+        self.received.front().map_or(NEVER, |(at, _)| *at)
+    }
+
+    fn next_happening(&self) -> u64 {
+        self.happenings.keys().next().map_or(NEVER, |(at, _)| *at)
+    }
+
     /// Lets time pass; returns a frame that the tool receives, with the time of its end.
     pub fn run(&mut self, until: u64) -> Option<(u64, Frame)> {
         loop {
-            let delivered = self.received.front().map_or(NEVER, |(at, _)| *at);
-            let due = self.next_slave().map_or(NEVER, |(at, _)| at);
-            let happening = self.happenings.keys().next().map_or(NEVER, |(at, _)| *at);
-            let flight = self.flight.as_ref().map_or_else(|| self.next_start(), |on| on.end);
-            let next = [delivered, due, happening, flight].into_iter().min().unwrap_or(NEVER);
+            let next = self.next_at();
             if next > until {
                 self.now = self.now.max(until);
                 return None;
             }
             self.now = self.now.max(next);
-            if next == delivered {
+            if self.next_delivery() == next {
                 return self.received.pop_front();
-            } else if next == happening {
+            } else if self.next_happening() == next {
                 let (_, (slave, happening)) = self.happenings.pop_first()?;
                 self.happen(slave, happening);
-            } else if next == due {
-                let (_, number) = self.next_slave()?;
+            } else if let Some((due, number)) = self.next_slave()
+                && due == next
+            {
                 self.wake(number);
             } else if let Some(flight) = self.flight.take() {
                 self.land(flight);
@@ -206,14 +218,21 @@ impl<A: Application + Clone> SlaveBus<A> {
 
     /// Does something with a slave beside the bus, on which nothing is sent for it.
     pub fn beside_bus<T>(&mut self, number: usize, work: impl FnOnce(&mut NodeRig<A>) -> T) -> T {
+        self.on_bus(number, |rig| {
+            let outcome = work(rig);
+            rig.take_actions();
+            outcome
+        })
+    }
+
+    /// Does something with a slave, which sends what follows from it.
+    pub fn on_bus<T>(&mut self, number: usize, work: impl FnOnce(&mut NodeRig<A>) -> T) -> T {
         let slave = &mut self.slaves[number];
         if slave.is_powered {
             slave.catch_up(self.now);
             self.collect(number);
         }
-        let rig = &mut self.slaves[number].rig;
-        let outcome = work(rig);
-        rig.take_actions();
+        let outcome = work(&mut self.slaves[number].rig);
         self.collect(number);
         outcome
     }

@@ -1,12 +1,18 @@
 //! An SDO client: reads and writes of any length (CiA 301, 7.2.4).
 
+mod block;
+
 use std::time::Duration;
 
 use crate::{bus::Bus, stop::Stop};
 
+pub use block::{abort, download_blocks};
+
 /// The result of a transfer; an error says in words why it failed.
 pub type Outcome<T> = Result<Result<T, String>, Stop>;
 
+/// The command specifier of an abort.
+const ABORT: u8 = 0x80;
 /// The longest value that is read.
 const LONGEST: usize = 1024;
 
@@ -23,12 +29,17 @@ fn ask(
     let answer = bus.wait_for(wait, |frame| frame.cob_id() == cob_id)?;
     let Some(answer) = answer else { return Ok(Err("no answer".into())) };
     Ok(match <[u8; 8]>::try_from(answer.frame.data()) {
-        Ok([0x80, _, _, _, a, b, c, d]) => {
-            Err(format!("abort {:08X}", u32::from_le_bytes([a, b, c, d])))
-        }
-        Ok(bytes) if is_answer(&bytes) => Ok(bytes),
-        _ => Err(format!("an unexpected answer {:02X?}", answer.frame.data())),
+        Ok(bytes) if bytes[0] != ABORT && is_answer(&bytes) => Ok(bytes),
+        _ => Err(error_of(answer.frame.data())),
     })
+}
+
+/// The error in an answer that is not the expected one.
+fn error_of(answer: &[u8]) -> String {
+    match *answer {
+        [ABORT, _, _, _, a, b, c, d] => format!("abort {:08X}", u32::from_le_bytes([a, b, c, d])),
+        _ => format!("an unexpected answer {answer:02X?}"),
+    }
 }
 
 /// The request for the value of an object.
@@ -90,9 +101,21 @@ pub fn write(bus: &mut Bus, node: u8, object: (u16, u8), value: u32, len: u8) ->
 pub fn download(
     bus: &mut Bus,
     node: u8,
+    object: (u16, u8),
+    data: &[u8],
+    wait: Duration,
+) -> Outcome<()> {
+    download_segments(bus, node, object, data, wait, |_| ())
+}
+
+/// The same, and tells `progress` the number of bytes that the server has confirmed.
+pub fn download_segments(
+    bus: &mut Bus,
+    node: u8,
     (index, sub_index): (u16, u8),
     data: &[u8],
     wait: Duration,
+    mut progress: impl FnMut(usize),
 ) -> Outcome<()> {
     let [low, high] = index.to_le_bytes();
     let is_expedited = (1..=4).contains(&data.len());
@@ -112,7 +135,7 @@ pub fn download(
     // An empty value has one segment without data.
     let empty = data.is_empty().then_some(&[][..]);
     let mut segments = data.chunks(7).chain(empty).peekable();
-    let mut toggle = 0;
+    let (mut toggle, mut done) = (0, 0);
     while let Some(part) = segments.next() {
         let is_last = u8::from(segments.peek().is_none());
         let mut segment = [toggle | (7 - part.len() as u8) << 1 | is_last, 0, 0, 0, 0, 0, 0, 0];
@@ -122,6 +145,8 @@ pub fn download(
             return Ok(Err(why));
         }
         toggle ^= 0x10;
+        done += part.len();
+        progress(done);
     }
     Ok(Ok(()))
 }

@@ -70,7 +70,7 @@ pub use lss_slave::{
     BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, InvalidNodeId, NodeId, Settings,
     bit_rate, lss, settings,
 };
-pub use node::{Action, Node, Receives};
+pub use node::{Action, Confirmation, Node, Program, Receives};
 pub use numbers::Numbers;
 #[doc(hidden)]
 pub use pastey;

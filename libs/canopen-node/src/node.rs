@@ -2,14 +2,17 @@
 //! and `poll`; outputs are actions.
 
 mod action;
+mod agenda;
 mod areas;
 mod bit_rate;
 mod communication;
+mod master;
 mod messages;
 mod objects;
 mod periodic;
 mod process;
 mod product;
+mod program;
 mod receives;
 mod settings_object;
 mod verification;
@@ -18,7 +21,7 @@ use lss_slave::Slave;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
-    application::{Application, NoApplication},
+    application::{Application, Event, NoApplication},
     emergency::{APPLICATION, Emergency, Fault},
     lss::{self, Response, StateMachine, StoreError},
     nmt::{self, Command, slave::NmtSlave},
@@ -28,11 +31,13 @@ use crate::{
     settings::parameters::{Packer, Parameter},
 };
 pub use action::Action;
+use agenda::{Agenda, Task, Tasks};
 use areas::{Area, Change, Download};
 use communication::Communication;
 use objects::NodeObjects;
 use periodic::Periodic;
 use product::Product;
+pub use program::{Confirmation, Program};
 pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
@@ -106,11 +111,15 @@ impl Storing {
         }
     }
 
-    /// Cancels the SDO client's request; a store in progress continues.
-    const fn forget_sdo(&mut self) {
-        self.sdo_request = None;
+    /// Cancels the SDO client's request; a store in progress continues. The own request of a master stays.
+    #[inline(always)] // Otherwise it takes code where the application is no master.
+    fn forget_sdo<A: Application>(&mut self) {
+        if !(A::IS_MASTER && self.sdo_request.is_some_and(|download| download.is_own())) {
+            self.sdo_request = None;
+        }
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
             && let Requester::Sdo(download) = *requester
+            && !(A::IS_MASTER && download.is_own())
         {
             *requester = Requester::Nobody(download);
         }
@@ -239,7 +248,7 @@ impl<A: Application> Node<A> {
         let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
         let Communication { pdos, consumer, .. } = &self.product.communication;
         Receives {
-            all: self.slave.bit_rate().needs_all_frames(),
+            all: A::IS_MASTER || self.slave.bit_rate().needs_all_frames(),
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
             rpdos: List::from_fn(|at| pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
             heartbeats: List::from_fn(|at| consumer.cob_id(at).unwrap_or(UNUSED)),
@@ -258,10 +267,13 @@ impl<A: Application> Node<A> {
             && !self.node_id().is_some_and(is_service)
     }
 
-    /// Handles a received frame and returns the immediate answer to an LSS request, if it has one. [`poll`](Self::poll)
-    /// returns all other actions.
+    /// Handles a received frame and returns the answer to a request of LSS or SDO, if there is one at once.
+    /// [`poll`](Self::poll) returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
+        if A::IS_MASTER {
+            self.product.application.hear(frame, now);
+        }
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
         if !bit_rate.is_settled() {
@@ -271,11 +283,11 @@ impl<A: Application> Node<A> {
             Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
             Some(action) => self.react(action),
             None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
-                self.handle_other(frame, now)
+                return self.handle_other(frame, now).map(Action::Transmit);
             }
             // A request of LSS may have begun a switch.
             None if !self.slave.bit_rate().is_settled() => {
-                self.agenda.add(Tasks::of(&[Task::BitRate]))
+                self.agenda.add(Tasks::of(&[Task::BitRate]));
             }
             None => {}
         }
@@ -298,23 +310,21 @@ impl<A: Application> Node<A> {
         }
     }
 
-    fn handle_other(&mut self, frame: &Frame, now: Instant) {
+    #[inline(never)] // Inlined, it slows the answers of LSS.
+    fn handle_other(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         let cob_id = frame.cob_id();
+        if Some(cob_id) == self.sdo_request_cob_id() {
+            return self.handle_sdo(Message::from_bytes(*frame.eight_bytes()?), now);
+        }
         if cob_id == nmt::COMMAND_COB_ID {
             if let Some(command) = Command::from_frame(frame, self.node_id()) {
                 self.nmt.handle(command);
                 self.agenda.add(Tasks::of(&[Task::Command]));
             }
-        } else if Some(cob_id) == self.sdo_request_cob_id() {
-            if let Some(request) = frame.eight_bytes() {
-                // A boot-up may precede the answer.
-                self.slave.note_asked();
-                self.sdo.handle(Message::from_bytes(*request), self.serves_sdo());
-                self.agenda.add(Tasks::of(&[Task::Sdo]));
-            }
         } else {
             self.handle_process_data(frame, now);
         }
+        None
     }
 
     /// Queues an emergency message about a fault of the board, such as [`Fault::SettingsLost`].
@@ -444,7 +454,7 @@ impl<A: Application> Node<A> {
                 return Some(action);
             }
         }
-        self.find_deadlines(now);
+        self.agenda.find_next();
         None
     }
 
@@ -472,12 +482,14 @@ impl<A: Application> Node<A> {
         .chain(Communication::<A::Numbers>::entries::<A>())
         .chain(A::OBJECTS.iter().copied().zip(A::descriptions()))
         .chain(A::SETTINGS_BY_SDO.then(settings_object::entries).into_iter().flatten())
+        .chain(A::PROGRAM_DOWNLOAD.then(program::entries).into_iter().flatten())
     }
 
     /// Performs a step of a task. Without an action the task is over.
     fn perform(&mut self, task: Task, now: Instant) -> Option<Action> {
         let action = match task {
-            Task::BitRate => self.next_step(now),
+            Task::BitRate if self.has_steps() || self.agenda.is_holding() => self.next_step(now),
+            Task::BitRate => None,
             Task::State => {
                 // In NMT stopped there are neither SDO transfers nor emergency messages.
                 self.agenda.add(Tasks::SENDING);
@@ -488,38 +500,42 @@ impl<A: Application> Node<A> {
                 self.watch_producers(now);
                 None
             }
-            Task::Sdo => self.answer_sdo(now),
+            Task::Sdo => self.answer_sdo(now).map(Action::Transmit),
             Task::Store => self.answer_or_store(),
             Task::Messages => self.next_message(now),
             Task::Pdos => self.next_pdo(now),
         };
         match action {
-            None => self.agenda.end(task),
+            None => {
+                let deadline = self.deadline(task, now);
+                self.agenda.end(task, deadline);
+            }
             Some(Action::Transmit(_)) => self.slave.note_sent(now),
             Some(_) => {}
         }
         action
     }
 
-    #[inline(never)] // Inlined, it takes 24 to 584 bytes more.
-    fn find_deadlines(&mut self, now: Instant) {
-        let may_send = self.slave.may_send();
-        let Self { slave, agenda, nmt, emergency, sdo, product, periodic, .. } = self;
-        agenda.find_deadlines(|task| match task {
-            Task::BitRate => slave.poll_at(),
-            Task::Producers => {
-                product.communication.late_at().filter(|_| !slave.bit_rate().is_switching())
-            }
-            _ if !may_send => None,
+    /// Whether the bit rate may have steps: at a proven one there are none before the next switch.
+    const fn has_steps(&self) -> bool {
+        !self.slave.bit_rate().is_settled()
+    }
+
+    /// The deadline of a task that has ended at `now`.
+    fn deadline(&self, task: Task, now: Instant) -> Option<Instant> {
+        let Self { slave, nmt, emergency, sdo, product, periodic, .. } = self;
+        let postpone = |due| periodic.postpone(due, now);
+        match task {
+            Task::BitRate if self.has_steps() => slave.poll_at(),
+            Task::Producers => product.communication.late_at(),
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A>>(),
-            _ if slave.bit_rate().is_guest() => None,
-            Task::Messages => {
-                let heartbeat = nmt.poll_at().and_then(|due| periodic.postpone(due, now));
+            Task::Messages if !slave.bit_rate().is_guest() => {
+                let heartbeat = nmt.poll_at().and_then(postpone);
                 Instant::earliest(heartbeat, emergency.inhibited_until())
             }
-            Task::Pdos => product.communication.pdos.poll_at(|due| periodic.postpone(due, now)),
-            Task::State | Task::Command | Task::Store => None,
-        });
+            Task::Pdos => product.communication.pdos.poll_at(postpone),
+            _ => None,
+        }
     }
 
     /// Begins the store that LSS, or else an SDO client, has asked for, unless one is in progress.
@@ -551,7 +567,7 @@ impl<A: Application> Node<A> {
             let mut settings = persistent;
             // Their object is in this area.
             let change = Area::Application.change(Some(download));
-            if A::SETTINGS_BY_SDO && change == Change::Renew {
+            if (A::SETTINGS_BY_SDO || A::IS_MASTER) && change == Change::Renew {
                 settings = self.storing.written.apply(settings, self.slave.lss());
             }
             (settings, Requester::Sdo(download))
@@ -570,177 +586,19 @@ impl<A: Application> Node<A> {
                     let answer = Response::StoreConfiguration(outcome);
                     return Some(Action::Transmit(answer.to_frame()));
                 }
+                Requester::Sdo(download) if A::IS_MASTER && download.is_own() => {
+                    self.product.application.handle(Event::Stored(outcome));
+                }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {
-                    return self.transmit_by_sdo(match outcome {
-                        Ok(()) => download.confirmation,
-                        Err(error) => {
-                            Message::store_failed(download.index, download.sub_index, error)
-                        }
-                    });
+                    let Download { index, sub_index, confirmation } = download;
+                    let failed = |error| Message::store_failed(index, sub_index, error);
+                    let answer = outcome.map_or_else(failed, |()| confirmation);
+                    return self.sdo_frame(answer).map(Action::Transmit);
                 }
                 Requester::Sdo(_) | Requester::Nobody(_) => {}
             }
         }
         self.begin_store()
-    }
-}
-
-/// A part of the node's work. Those that are due are done in this order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-enum Task {
-    /// A new NMT state, for the application and process data.
-    State,
-    /// The steps of a switch and of the supervision, which decide whether the others may be done.
-    BitRate,
-    /// An NMT command.
-    Command,
-    /// Heartbeats and RPDOs that are missing, and errors of process data that are over.
-    Producers,
-    Sdo,
-    Store,
-    /// Boot-up, emergency messages and heartbeat.
-    Messages,
-    Pdos,
-}
-
-/// A set of tasks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Tasks(u8);
-
-impl Tasks {
-    pub const NONE: Self = Self(0);
-    pub const ALL: Self = Self(u8::MAX);
-    /// Those that send frames or store settings.
-    pub const SENDING: Self = Self::of(&[Task::Sdo, Task::Store, Task::Messages, Task::Pdos]);
-    /// Those that wait for the end of a switch.
-    pub const AFTER_SWITCH: Self = Self(Self::ALL.0 & !Self::of(&[Task::State, Task::BitRate]).0);
-
-    pub const fn of(tasks: &[Task]) -> Self {
-        let (mut set, mut rest) = (Self::NONE, tasks);
-        while let [task, others @ ..] = rest {
-            set.0 |= task.bit();
-            rest = others;
-        }
-        set
-    }
-
-    const fn has(self, task: Task) -> bool {
-        self.0 & task.bit() != 0
-    }
-}
-
-impl Task {
-    const EACH: [Self; 8] = [
-        Self::State,
-        Self::BitRate,
-        Self::Command,
-        Self::Producers,
-        Self::Sdo,
-        Self::Store,
-        Self::Messages,
-        Self::Pdos,
-    ];
-    /// Those that have deadlines.
-    const TIMED: [Self; 5] =
-        [Self::BitRate, Self::Producers, Self::Sdo, Self::Messages, Self::Pdos];
-
-    const fn bit(self) -> u8 {
-        1 << self as u8
-    }
-}
-
-/// The tasks that are due, and the deadlines of the others.
-#[derive(Clone, Debug)]
-struct Agenda {
-    due: Tasks,
-    /// The tasks that must not be done now.
-    held: Tasks,
-    /// The tasks whose deadline may have changed.
-    changed: Tasks,
-    /// The deadlines of [`Task::TIMED`], in that order.
-    deadlines: [Option<Instant>; Task::TIMED.len()],
-    /// The earliest deadline.
-    next: Option<Instant>,
-}
-
-impl Agenda {
-    /// All tasks are due.
-    pub const fn new() -> Self {
-        Self {
-            due: Tasks::ALL,
-            held: Tasks::NONE,
-            changed: Tasks::ALL,
-            deadlines: [None; Task::TIMED.len()],
-            next: None,
-        }
-    }
-
-    /// Makes these tasks due, except those that are held.
-    pub const fn add(&mut self, tasks: Tasks) {
-        self.due.0 |= tasks.0 & !self.held.0;
-    }
-
-    /// Ends a task until it is added again.
-    pub const fn end(&mut self, task: Task) {
-        self.due.0 &= !task.bit();
-        self.changed.0 |= task.bit();
-    }
-
-    /// Holds these tasks until the next call, and makes all others due.
-    pub const fn hold(&mut self, tasks: Tasks) {
-        self.held = tasks;
-        self.due = Tasks(!tasks.0);
-        self.changed = Tasks::ALL;
-    }
-
-    /// Whether anything is due at `now`.
-    pub const fn is_due(&self, now: Instant) -> bool {
-        self.due.0 != 0
-            || match self.next {
-                Some(next) => next.has_come(now),
-                None => false,
-            }
-    }
-
-    /// The earliest deadline.
-    pub const fn next_deadline(&self) -> Option<Instant> {
-        self.next
-    }
-
-    /// Makes the tasks due whose deadline has come.
-    pub fn begin(&mut self, now: Instant) {
-        if !self.next.is_some_and(|next| next.has_come(now)) {
-            return;
-        }
-        let mut come = Tasks::NONE;
-        for (task, deadline) in Task::TIMED.into_iter().zip(&mut self.deadlines) {
-            if deadline.take_if(|deadline| deadline.has_come(now)).is_some() {
-                come.0 |= task.bit();
-            }
-        }
-        self.add(come);
-        self.find_next();
-    }
-
-    /// The first task that is due.
-    pub fn first(&self) -> Option<Task> {
-        Task::EACH.get(self.due.0.trailing_zeros() as usize).copied()
-    }
-
-    /// Finds the deadlines that may have changed, by `deadline`.
-    pub fn find_deadlines(&mut self, deadline: impl Fn(Task) -> Option<Instant>) {
-        for (task, place) in Task::TIMED.into_iter().zip(&mut self.deadlines) {
-            if self.changed.has(task) {
-                *place = deadline(task);
-            }
-        }
-        self.changed = Tasks::NONE;
-        self.find_next();
-    }
-
-    fn find_next(&mut self) {
-        self.next = self.deadlines.into_iter().flatten().reduce(Instant::earlier);
     }
 }

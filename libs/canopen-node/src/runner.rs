@@ -16,11 +16,12 @@ pub use controller::{BusError, Controller, Mode, Received, Sample};
 pub use poll::Wake;
 
 use crate::{
-    Action, Application, BitRate, BusEvent, Frame, Instant, Node, Numbers, Settings,
+    Action, Application, BitRate, BusEvent, Confirmation, Frame, Instant, Node, Numbers, Settings,
     application::NoApplication,
     emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
     lss::{self, State, StoreError},
+    sdo::Abort,
     settings::{Found, Log},
 };
 use bus::Bus;
@@ -120,6 +121,35 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         &self.node
     }
 
+    /// The node, to be changed. One of the calls below must follow.
+    pub const fn node_mut(&mut self) -> &mut Node<A> {
+        &mut self.node
+    }
+
+    /// Whether every frame of the node has been sent and acknowledged, or dropped.
+    pub fn is_idle(&mut self) -> bool {
+        self.queue.is_empty() && self.bus.can.is_idle()
+    }
+
+    /// Whether the controller was bus-off at the last look.
+    pub fn is_bus_off(&self) -> bool {
+        self.bus_state == BusState::BusOff
+    }
+
+    /// Looks again whether an SDO answer that was held back can be given, as [`Node::resume`] does.
+    pub fn resume(&mut self) {
+        self.node.resume();
+        self.finish();
+    }
+
+    /// Answers an SDO download, as [`Node::answer`] does.
+    pub fn answer(&mut self, confirmation: Confirmation, outcome: Result<(), Abort>) {
+        if let Some(answer) = self.node.answer(confirmation, outcome) {
+            self.act(answer);
+        }
+        self.finish();
+    }
+
     /// The controller and the rest of the board, for a port that waits for them.
     pub const fn parts_mut(&mut self) -> (&mut C, &mut S) {
         (&mut self.bus.can, &mut self.system)
@@ -149,6 +179,28 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     pub fn send_tpdo(&mut self, number: u8) {
         self.node.send_tpdo(number);
         self.finish();
+    }
+
+    /// Sends a frame of the application, as [`Node::send`] does.
+    pub fn send(&mut self, frame: Frame) {
+        if let Some(action) = self.node.send(frame, self.system.now()) {
+            self.act(action);
+        }
+        self.finish();
+    }
+
+    /// Switches the bit rate, as [`Node::switch_bit_rate`] does.
+    pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16) -> bool {
+        let begins = self.node.switch_bit_rate(rate, delay_ms, self.system.now());
+        self.finish();
+        begins
+    }
+
+    /// Stores the application's values, as [`Node::store_values`] does.
+    pub fn store_values(&mut self) -> bool {
+        let begins = self.node.store_values();
+        self.finish();
+        begins
     }
 
     /// Handles received frames.
@@ -319,6 +371,13 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     ) -> Option<(Settings, usize)> {
         let settings = self.store.take()?;
         Some((settings, self.node.write_parameters(persistent, parameters)))
+    }
+
+    /// Refuses the store that the node has asked for, if there is one: for a device that cannot store.
+    pub fn refuse_store(&mut self, error: StoreError) {
+        if self.store.take().is_some() {
+            self.handle_stored(Err(error));
+        }
     }
 
     /// Passes the outcome of a store to the node.

@@ -14,6 +14,7 @@ use crate::{
     lss::StoreError,
     object_dictionary::{Entry, Missing},
 };
+pub(crate) use block_download::BLOCK_SIZE;
 #[doc(hidden)]
 pub use objects::Buffer;
 pub(crate) use objects::{Content, Objects};
@@ -176,6 +177,16 @@ impl Message {
             StoreError::Full => Abort::DeviceState,
             _ => Abort::Hardware,
         };
+        Self::abort(Address { index, sub_index }, code)
+    }
+
+    /// The message that confirms the download of an object.
+    pub const fn confirmation(index: u16, sub_index: u8) -> Self {
+        Self::new(0x60, Address { index, sub_index }, 0)
+    }
+
+    /// The message that ends the download of an object for this reason.
+    pub const fn refusal(index: u16, sub_index: u8, code: Abort) -> Self {
         Self::abort(Address { index, sub_index }, code)
     }
 

@@ -110,18 +110,17 @@ pub fn received_identifier() -> u16 {
 #[inline(always)]
 pub fn received_data() -> (usize, [u8; 8]) {
     let length = RECEIVED[1].read() as usize & 0xF;
-    let [b0, b1, b2, b3] = RECEIVED[2].read().to_le_bytes();
-    let [b4, b5, b6, b7] = RECEIVED[3].read().to_le_bytes();
-    (length, [b0, b1, b2, b3, b4, b5, b6, b7])
+    let [low, high] = [RECEIVED[2].read(), RECEIVED[3].read()];
+    (length, (u64::from(high) << 32 | u64::from(low)).to_le_bytes())
 }
 
 /// Requests transmission of a frame with up to eight bytes; bytes beyond its length do not matter.
 #[inline(always)]
 pub fn transmit(identifier: u16, length: usize, data: [u8; 8]) {
-    let [b0, b1, b2, b3, b4, b5, b6, b7] = data;
+    let data = u64::from_le_bytes(data);
     TRANSMITTED[1].write(length as u32);
-    TRANSMITTED[2].write(u32::from_le_bytes([b0, b1, b2, b3]));
-    TRANSMITTED[3].write(u32::from_le_bytes([b4, b5, b6, b7]));
+    TRANSMITTED[2].write(data as u32);
+    TRANSMITTED[3].write((data >> 32) as u32);
     TRANSMITTED[0].write(u32::from(identifier) << 21 | 1);
 }
 

@@ -55,7 +55,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     println!("--seed {seed}");
     match arguments.example {
         None => rage(arguments, &image, ImageStorm::new(board, &image, DEVICE, seed)),
-        Some(Example::Thermo) => bail!("no storm knows the objects of `thermo`: choose `io`"),
+        Some(Example::Commissioner | Example::Thermo) => {
+            bail!("no storm knows the objects of this example: choose `io`")
+        }
         Some(Example::Io) => {
             rage(arguments, &image, ImageStorm::with_example(board, &image, seed));
         }

@@ -71,6 +71,20 @@ pub struct Apply {
     pub write_dcf: Option<PathBuf>,
 }
 
+/// The update file, and where it goes.
+#[derive(clap::Args)]
+pub struct Update {
+    /// The update file (NAME.update.bin)
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// The boards; without any, all boards on the bus that the file is for
+    #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+    pub nodes: Vec<NodeId>,
+    /// Print JSON, in the end
+    #[arg(long)]
+    pub json: bool,
+}
+
 #[derive(Subcommand)]
 pub enum Command {
     /// Find the bit rate of the network and who is there: listens at all bit rates, and changes no state
@@ -102,6 +116,10 @@ pub enum Command {
         #[arg(long, value_name = "MS", default_value_t = 500, value_parser = clap::value_parser!(u16).range(20..=10_000))]
         delay: u16,
     },
+    /// Install a program on one board after the other (CiA 302-3): download, start, confirm. A board that the file is not
+    /// for is left alone, and a program that does not run is taken back
+    #[command(verbatim_doc_comment)]
+    Update(Update),
     /// Ask a board for its LSS address and its node-ID
     Inquire(Target),
     /// Show which board it is: keeps it in LSS configuration state, in which its LEDs flicker (CiA 303-3), until you press
@@ -146,6 +164,7 @@ impl Command {
             Self::List { .. } => "lss list".into(),
             Self::Assign(_) => "lss assign".into(),
             Self::Apply(_) => "lss apply".into(),
+            Self::Update(_) => "lss update".into(),
             Self::SetRate { rate, .. } => format!("lss set-rate {}", rate.kbit_per_s()),
             _ => "lss".into(),
         }

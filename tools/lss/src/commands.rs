@@ -7,6 +7,7 @@ mod list;
 mod one_board;
 mod power;
 mod set_rate;
+mod update;
 mod watch;
 
 pub use apply::apply;
@@ -15,4 +16,5 @@ pub use find::find;
 pub use list::list;
 pub use one_board::{blink, identify, inquire, raw, set_id, store};
 pub use set_rate::set_rate;
+pub use update::update;
 pub use watch::watch;

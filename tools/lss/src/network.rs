@@ -2,6 +2,7 @@
 
 pub mod board;
 pub mod live;
+pub mod loader;
 pub mod nodes;
 pub mod rate;
 pub mod rows;

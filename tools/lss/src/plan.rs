@@ -10,4 +10,5 @@ pub mod node_ids;
 pub mod replacement;
 pub mod sheet;
 pub mod table;
+pub mod update_file;
 pub mod values;

@@ -81,6 +81,7 @@ impl Session<'_> {
             Command::List { watch: true, .. } => commands::watch(self),
             Command::List { json, .. } => commands::list(self, *json),
             Command::Assign(assign) => commands::assign(self, assign),
+            Command::Update(update) => commands::update(self, update),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
             Command::Inquire(target) => commands::inquire(self, *target),
             Command::Blink { which } => commands::blink(self, *which),

@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Number of boards with our firmware: 1..=127; 0 beside --elf
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=127))]
     boards: u8,
-    /// Another program for the chip, on a board of its own; the option can be repeated
+    /// Another program for the chip, an ELF file or `*.hex`, on a board of its own; the option can be repeated
     #[arg(long, value_name = "FILE")]
     elf: Vec<PathBuf>,
     /// Address on which to wait for CAN programs
@@ -313,7 +313,7 @@ mod tests {
 
     #[test]
     fn the_board_of_each_example_answers_a_master() {
-        for example in ["", "--example io", "--example thermo"] {
+        for example in ["", "--example commissioner", "--example io", "--example thermo"] {
             let mut network = prepared(&format!("{example} --node-id 5")).expect(example).network;
             let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
             for request in ["04 01", "5E"] {

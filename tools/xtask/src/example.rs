@@ -6,6 +6,8 @@ use testkit::image;
 /// An example of a product.
 #[derive(Clone, Copy, clap::ValueEnum)]
 pub enum Example {
+    /// The LSS master of a network, `examples/commissioner`
+    Commissioner,
     /// Digital and analogue I/O, `examples/io`
     Io,
     /// Four temperatures and two relays on CAN2, `examples/thermo`
@@ -16,6 +18,7 @@ impl Example {
     /// The name of its folder.
     fn name(self) -> &'static str {
         match self {
+            Self::Commissioner => "commissioner",
             Self::Io => "io",
             Self::Thermo => "thermo",
         }
@@ -31,7 +34,7 @@ impl Example {
 pub fn chip(chip: Option<Part>, example: Option<Example>) -> Part {
     chip.unwrap_or(match example {
         None => Part::Stm32f405,
-        Some(Example::Io) => Part::Stm32f407,
+        Some(Example::Commissioner | Example::Io) => Part::Stm32f407,
         Some(Example::Thermo) => Part::Stm32f446,
     })
 }
@@ -41,6 +44,7 @@ pub fn chip(chip: Option<Part>, example: Option<Example>) -> Part {
 pub fn board(example: Option<Example>) -> Settings {
     let (hz, controller) = match example {
         None => (firmware::device::CRYSTAL_HZ, 1),
+        Some(Example::Commissioner) => (example_commissioner::device::CRYSTAL_HZ, 1),
         Some(Example::Io) => (example_io::device::CRYSTAL_HZ, 1),
         Some(Example::Thermo) => (example_thermo::device::CRYSTAL_HZ, 2),
     };

@@ -38,11 +38,14 @@ pub struct Arguments {
     /// The CAN controller: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller)]
     controller: u8,
+    /// With a loader, so that the program can be replaced over the bus
+    #[arg(long)]
+    update: bool,
 }
 
 /// Makes the product, and prints what to do with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let Arguments { name, path, git, chip, controller } = arguments;
+    let Arguments { name, path, git, chip, controller, update } = arguments;
     check_name(name)?;
     controller::check(*chip, *controller)?;
     let workspace = workspace();
@@ -62,7 +65,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         folder.display()
     );
     let git = git.as_deref();
-    Product { name, chip: *chip, controller: *controller, git, folder: &folder }
+    let (chip, controller, has_update) = (*chip, *controller, *update);
+    Product { name, chip, controller, git, folder: &folder, has_update }
         .write()
         .with_context(|| format!("cannot write {}", folder.display()))?;
     // The lines of the product's names have other lengths. Without rustfmt they stay as they are.

@@ -2,8 +2,12 @@
 
 mod elsewhere;
 mod image;
+mod update;
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, ensure};
 use emulator::{chip::Part, image::Image};
@@ -11,6 +15,7 @@ use sha2::{Digest, Sha256};
 use testkit::cargo::workspace;
 
 use crate::{eds, size};
+pub(crate) use image::read_hex;
 
 /// Write the files of a release, a folder for each chip
 ///
@@ -23,6 +28,14 @@ use crate::{eds, size};
 ///
 /// No file has a byte for the settings in sectors 1 and 2 of the flash. All are the same bytes wherever they are made:
 /// docs/product.md, "Write the image".
+///
+/// With --update the program can be replaced over the bus, as that of a product with a loader: docs/update.md
+///
+///   factory.hex              loader and program, for a board that has none
+///   loader.hex               the loader alone
+///   lss-node.update.bin      the program, for `lss update` and other clients
+///   lely.yml                 the two lines of it for the master of Lely
+///   lss-node.eds, SHA256SUMS
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -34,12 +47,16 @@ pub struct Arguments {
     /// Also build each program in another folder with another registry of cargo, and compare
     #[arg(long)]
     check_reproducible: bool,
+    /// A program that can be replaced over the bus, and its loader
+    #[arg(long, conflicts_with = "check_reproducible")]
+    update: bool,
 }
 
 /// Writes the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let chips = if arguments.chips.is_empty() { &Part::F4[..] } else { &arguments.chips };
     for &chip in chips {
+        let write = if arguments.update { update::write } else { write };
         write(chip, arguments).with_context(|| chip.name().to_owned())?;
     }
     Ok(())
@@ -60,19 +77,31 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
         ("size.txt".to_owned(), size.into_bytes()),
         ("lss-slave.elf".to_owned(), elf),
     ]);
+    let folder = arguments.folder(chip.name());
+    write_with_sums(&folder, files)?;
+    println!("{}: {bytes} bytes of program", folder.display());
+    Ok(())
+}
+
+impl Arguments {
+    /// The folder of this name.
+    fn folder(&self, name: &str) -> PathBuf {
+        let usual = || workspace().join("target/release-kit");
+        self.out.clone().unwrap_or_else(usual).join(name)
+    }
+}
+
+/// Writes files and their checksums into a folder.
+fn write_with_sums(folder: &Path, mut files: Vec<(String, Vec<u8>)>) -> anyhow::Result<()> {
     files.sort();
     let sums = files.iter().map(|(name, content)| format!("{}  {name}\n", sha256(content)));
     let sums = sums.collect::<String>();
     files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
-
-    let usual = || workspace().join("target/release-kit");
-    let folder = arguments.out.clone().unwrap_or_else(usual).join(chip.name());
-    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     for (name, content) in files {
         let path = folder.join(name);
         fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    println!("{}: {bytes} bytes of program", folder.display());
     Ok(())
 }
 

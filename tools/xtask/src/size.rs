@@ -83,7 +83,7 @@ const PARTS: [(&str, &[&str]); 14] = [
         "application",
         &["firmware::application", "example_", "canopen_node::application", "stm32f4xx_hal::adc"],
     ),
-    ("start and clocks", &["::app", "canopen_stm32f4::board", "canopen_stm32f4::clock", "::__"]),
+    ("start and clocks", &["::app::", "canopen_stm32f4::board", "canopen_stm32f4::clock", "::__"]),
     ("process data", &["canopen_node::pdo", "canopen_node::sync", "canopen_node::node::process"]),
     (
         "SDO",

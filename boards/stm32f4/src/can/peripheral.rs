@@ -17,6 +17,8 @@ pub trait Peripheral:
     type Connected: bxcan::Instance;
     /// The controller with the filter registers.
     type Filters: Enable + Deref<Target = RegisterBlock>;
+    /// Its number: 1 for CAN1.
+    const NUMBER: u32;
     /// The first filter bank.
     const FIRST_BANK: usize;
 
@@ -43,10 +45,11 @@ pub trait Peripheral:
 }
 
 macro_rules! peripheral {
-    ($Can:ident, filters of $Filters:ident from bank $first:literal) => {
+    ($Can:ident $number:literal, filters of $Filters:ident from bank $first:literal) => {
         impl Peripheral for pac::$Can {
             type Connected = can::Can<Self>;
             type Filters = pac::$Filters;
+            const NUMBER: u32 = $number;
             const FIRST_BANK: usize = $first;
 
             fn connect(self, receive: Self::Rx, rcc: &mut Rcc) -> Self::Connected {
@@ -62,8 +65,8 @@ macro_rules! peripheral {
     };
 }
 
-peripheral!(CAN1, filters of CAN1 from bank 0);
+peripheral!(CAN1 1, filters of CAN1 from bank 0);
 // CAN2 has no filters, and uses banks of CAN1 (RM0090, 32.9.4). After a reset those from 14 on belong to it (CAN2SB).
-peripheral!(CAN2, filters of CAN1 from bank 14);
+peripheral!(CAN2 2, filters of CAN1 from bank 14);
 #[cfg(any(feature = "stm32f413", feature = "stm32f423"))]
-peripheral!(CAN3, filters of CAN3 from bank 0);
+peripheral!(CAN3 3, filters of CAN3 from bank 0);

@@ -49,6 +49,8 @@ pub struct Rsemu {
     asleep_cycles: u64,
     /// The CPU does nothing before this cycle.
     stalled_until: u64,
+    /// The number of waits for a busy bank of the flash.
+    stalls: u64,
     is_halted: bool,
     /// The cycles of the last instruction, if it was a jump to itself.
     spin: Option<u64>,
@@ -93,6 +95,7 @@ impl Rsemu {
             cycles: 0,
             asleep_cycles: 0,
             stalled_until: 0,
+            stalls: 0,
             is_halted: false,
             spin: None,
             slowdown: variant.slowdown.max(1).into(),
@@ -149,6 +152,7 @@ impl Rsemu {
             chip: &self.space.chip,
             guarded,
             double_errors: &self.double_errors,
+            is_flash_busy: self.link.flash_busy.load(Relaxed),
         };
         let mut fast = Fast::new(self.cpu.regs(), memories, &mut self.decoded);
         let mut used = 0;
@@ -301,6 +305,7 @@ impl Rsemu {
         let chip = lock(&self.chip);
         if let Some(end) = chip.stalled_until(pc, now) {
             self.stalled_until = self.clock.cycle_at(end);
+            self.stalls += 1;
         }
         let is_busy = chip.flash().operation_end().is_some_and(|end| end > now);
         self.link.flash_busy.store(is_busy, Relaxed);
@@ -381,8 +386,7 @@ impl Engine for Rsemu {
                 continue;
             }
             let is_busy = self.link.flash_busy.load(Relaxed);
-            let may_be_fast = !is_busy && !self.flash_waits;
-            if may_be_fast && self.run_fast(target) > 0 {
+            if !self.flash_waits && self.run_fast(target) > 0 {
                 if let Some(halt) = self.after_step(until, &mut target) {
                     return halt;
                 }
@@ -397,6 +401,7 @@ impl Engine for Rsemu {
             if is_busy {
                 let end = self.link.load_waits_until.swap(0, Relaxed);
                 self.stalled_until = self.stalled_until.max(end);
+                self.stalls += u64::from(end > self.cycles);
             }
             if self.slowdown > 1 && !self.cpu.is_asleep() {
                 self.skip(used * (self.slowdown - 1));
@@ -476,6 +481,10 @@ impl Engine for Rsemu {
 
     fn busy_cycles(&self) -> u64 {
         self.cycles - self.asleep_cycles
+    }
+
+    fn stalls(&self) -> u64 {
+        self.stalls
     }
 
     fn read_memory(&self, address: u32, bytes: &mut [u8]) -> bool {

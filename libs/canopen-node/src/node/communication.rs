@@ -141,7 +141,7 @@ impl<N: Numbers> Communication<N> {
 
     /// Ends the errors that are no longer present.
     pub fn end_errors(&self, errors: &mut Emergency) {
-        if Self::IS_USED && errors.has_process_data_errors() {
+        if Self::IS_USED {
             self.pdos.end_errors(errors);
             self.consumer.end_errors(errors);
         }

@@ -12,6 +12,7 @@ impl<A: Application> Node<A> {
         let state = match command {
             Command::ResetNode => return Some(Action::ResetDevice),
             Command::ResetCommunication => return Some(self.reset_communication()),
+            Command::Start if !A::MAY_OPERATE => return None,
             Command::Start => nmt::State::Operational,
             Command::Stop => nmt::State::Stopped,
             Command::EnterPreOperational => nmt::State::PreOperational,
@@ -121,8 +122,9 @@ impl<A: Application> Node<A> {
         Some(Action::Transmit(heartbeat))
     }
 
-    /// Records a frame of a periodic service.
+    /// Records a frame of a periodic service, for which the others wait.
     pub(super) fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
         self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
+        self.agenda.add(Tasks::of(&[Task::Messages, Task::Pdos]));
     }
 }

@@ -3,20 +3,20 @@
 
 use core::cmp::Ordering;
 
-use lss_slave::{Slave, bytes::copy};
+use lss_slave::Slave;
 
 use super::{
-    Action, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    settings_object,
+    Confirmation, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
+    program, settings_object,
 };
 use crate::{
-    Device, Frame, Instant,
+    Device, Frame, Instant, Program,
     application::Application,
     emergency::Emergency,
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, Entry, Object, TABLE},
-    sdo::{self, Abort, Content, Message, Objects},
+    sdo::{self, Abort, BLOCK_SIZE, Content, Message, Objects},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -33,12 +33,42 @@ impl<A: Application> Node<A> {
         self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
     }
 
-    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Action> {
+    /// Accepts a request to the SDO server; returns the answer, unless anything is due before it.
+    pub(super) fn handle_sdo(&mut self, request: Message, now: Instant) -> Option<Frame> {
+        // A boot-up may precede the answer.
+        self.slave.note_asked();
+        if A::PROGRAM_DOWNLOAD
+            && let Some(program) = self.product.application.program()
+        {
+            program.requested();
+        }
+        self.sdo.handle(request, self.serves_sdo());
+        // `poll` holds an answer back while a program has no room for what would follow.
+        if A::PROGRAM_DOWNLOAD || self.is_due(now) {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+            return None;
+        }
+        let answer = self.serve_sdo(now);
+        if self.sdo.has_transfer() {
+            self.agenda.add(Tasks::of(&[Task::Sdo]));
+        }
+        answer
+    }
+
+    pub(super) fn answer_sdo(&mut self, now: Instant) -> Option<Frame> {
         if !self.serves_sdo() {
             self.end_sdo_transfer();
             self.sdo.reset();
         }
+        self.serve_sdo(now)
+    }
+
+    /// The next answer to the client, unless the boot-up precedes it.
+    fn serve_sdo(&mut self, now: Instant) -> Option<Frame> {
         if self.nmt.is_boot_up_due() {
+            return None;
+        }
+        if A::PROGRAM_DOWNLOAD && self.holds_answer(now) {
             return None;
         }
         let mut objects = NodeObjects {
@@ -50,30 +80,36 @@ impl<A: Application> Node<A> {
             communication: &mut self.product.communication,
             application: &mut self.product.application,
             now,
+            effects: Tasks::NONE,
         };
         let answer = self.sdo.poll(&mut objects, now);
-        // A write may concern any of them.
-        self.agenda.add(Tasks::of(&[Task::Producers, Task::Store, Task::Messages]));
-        self.note_values();
-        self.transmit_by_sdo(answer?)
+        let effects = objects.effects;
+        self.agenda.add(effects);
+        if effects.has(Task::Pdos) {
+            self.note_values();
+        }
+        let answer = answer?;
+        self.note_answer();
+        self.sdo_frame(answer)
     }
 
-    pub(super) fn transmit_by_sdo(&self, answer: Message) -> Option<Action> {
+    /// The frame of an answer to the SDO client.
+    pub(super) fn sdo_frame(&self, answer: Message) -> Option<Frame> {
         let cob_id = sdo::RESPONSE_COB_ID + u16::from(self.node_id()?.get());
-        Some(Action::Transmit(Frame::with_eight_bytes(cob_id, answer.to_bytes())))
+        Some(Frame::with_eight_bytes(cob_id, answer.to_bytes()))
     }
 
     /// Discards pending SDO requests and transfers.
     pub(super) fn end_sdo(&mut self) {
         self.end_sdo_transfer();
         self.sdo.reset();
-        self.storing.forget_sdo();
+        self.storing.forget_sdo::<A>();
     }
 
     /// Discards the current SDO transfer without an answer to the client.
     pub(super) fn end_sdo_transfer(&mut self) {
-        if let Some(Entry { index, sub_index, .. }) = self.sdo.domain() {
-            self.product.application.abort_domain(*index, *sub_index);
+        if let Some(entry) = self.sdo.domain() {
+            abort_domain(&mut self.product.application, entry);
         }
         self.sdo.end_transfer();
     }
@@ -89,12 +125,18 @@ pub(super) struct NodeObjects<'a, A: Application> {
     pub communication: &'a mut Communication<A::Numbers>,
     pub application: &'a mut A,
     pub now: Instant,
+    /// The tasks that the accesses have made due.
+    pub effects: Tasks,
 }
 
 impl<A: Application> Objects for NodeObjects<'_, A> {
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
+    const PROGRAM_DOWNLOAD: bool = A::PROGRAM_DOWNLOAD;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
+        if A::PROGRAM_DOWNLOAD && program::contains(index) {
+            return Ok(object_dictionary::find(program::ROWS, index, sub_index)?);
+        }
         let of_communication = Communication::<A::Numbers>::table(index);
         let table = match A::OBJECTS.first() {
             _ if A::SETTINGS_BY_SDO && index == settings_object::INDEX => settings_object::ROWS,
@@ -108,8 +150,13 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let node_id = self.slave.lss().active_node_id().map_or(0, |id| u32::from(id.get()));
         Ok(Content::Number(match entry.object {
             Object::Application(field) => {
+                if A::PROGRAM_DOWNLOAD && program::contains(entry.index) {
+                    let value = self.program()?.read(entry.index, entry.sub_index);
+                    return Ok(Content::Number(value));
+                }
                 if !entry.options.is_streamed() {
                     self.application.before_read(entry.index, entry.sub_index);
+                    self.effects.add(Self::VALUES);
                 }
                 return Ok(Content::OfApplication(field));
             }
@@ -166,6 +213,13 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         bytes: &[u8],
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::CONTROL {
+            let [value] = *bytes else { return Err(Abort::TooLong) };
+            let (answer, state) = (confirmation_of(entry, confirmation), self.nmt.state());
+            let answer = self.program()?.control(value, state, answer)?;
+            return Ok(answer.map(|answer| answer.message));
+        }
+        self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
             self.application.accept(&value)?;
@@ -180,9 +234,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             Ordering::Less => return Err(Abort::TooShort),
             Ordering::Equal => {}
         }
-        let mut number = [0; 4];
-        copy(bytes, 0, &mut number);
-        match (entry.object, u32::from_le_bytes(number)) {
+        let number = bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
+        match (entry.object, number) {
             (Object::StoreParameters, SAVE) | (Object::RestoreDefaultParameters, LOAD) => {
                 self.request_store(entry, confirmation)
             }
@@ -210,9 +263,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Ok(Some(confirmation))
             }
             (object, value) => {
-                let before = self.read(entry);
+                let before = self.number(entry);
                 self.write_number(object, value)?;
-                if object != Object::NumberOfErrors && self.read(entry) != before {
+                if object != Object::NumberOfErrors && self.number(entry) != before {
                     self.storing.verification.clear();
                 }
                 Ok(Some(confirmation))
@@ -221,7 +274,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn forget_store(&mut self) {
-        self.storing.forget_sdo();
+        self.storing.forget_sdo::<A>();
     }
 
     fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
@@ -239,19 +292,79 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+            return self.program()?.write(offset, bytes);
+        }
+        self.effects.add(Self::VALUES);
         self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
+        self.effects.add(Self::VALUES);
         self.application.end_domain(entry.index, entry.sub_index, len)
     }
 
+    fn end_program(
+        &mut self,
+        entry: &Entry,
+        len: u32,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort> {
+        let answer = self.program()?.end(len, confirmation_of(entry, confirmation))?;
+        Ok(answer.map(|answer| answer.message))
+    }
+
     fn abort_domain(&mut self, entry: &Entry) {
-        self.application.abort_domain(entry.index, entry.sub_index);
+        self.effects.add(Self::VALUES);
+        abort_domain(self.application, entry);
+    }
+
+    fn grant(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.grant())
+    }
+
+    fn granted(&mut self, entry: &Entry) -> u8 {
+        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        program.map_or(BLOCK_SIZE, |program| program.granted())
     }
 }
 
+/// The tasks that a write of this object may make due.
+const fn tasks_of(object: Object) -> Tasks {
+    match object {
+        Object::Application(_) => Tasks::of(&[Task::Pdos]),
+        Object::StoreParameters | Object::RestoreDefaultParameters => Tasks::of(&[Task::Store]),
+        Object::CobIdEmergency | Object::InhibitTimeEmergency | Object::ProducerHeartbeatTime => {
+            Tasks::of(&[Task::Messages])
+        }
+        // Process data, SYNC and the heartbeat consumer.
+        _ => Tasks::of(&[Task::Producers, Task::Pdos]),
+    }
+}
+
+/// Discards what a client has written of a domain.
+fn abort_domain<A: Application>(application: &mut A, entry: &Entry) {
+    if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+        application.program().into_iter().for_each(|program| program.abort());
+        return;
+    }
+    application.abort_domain(entry.index, entry.sub_index);
+}
+
+/// The answer to the download of an object, for an application that gives it later.
+const fn confirmation_of(entry: &Entry, message: Message) -> Confirmation {
+    Confirmation { index: entry.index, sub_index: entry.sub_index, message }
+}
+
 impl<A: Application> NodeObjects<'_, A> {
+    /// The task for values of the application that may have changed.
+    const VALUES: Tasks = tasks_of(Object::Application(0));
+
+    fn program(&mut self) -> Result<&mut dyn Program, Abort> {
+        self.application.program().ok_or(Abort::DeviceState)
+    }
+
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {
@@ -259,6 +372,14 @@ impl<A: Application> NodeObjects<'_, A> {
             self.application.read(field, at, &mut now) == 0 || now != [*byte]
         };
         self.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
+    }
+
+    /// The value of an object, if it is a number.
+    fn number(&mut self, entry: &Entry) -> Option<u32> {
+        match self.read(entry) {
+            Ok(Content::Number(number)) => Some(number),
+            _ => None,
+        }
     }
 
     fn write_number(&mut self, object: Object, number: u32) -> Result<(), Abort> {

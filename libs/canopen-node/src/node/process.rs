@@ -7,7 +7,7 @@ impl<A: Application> Node<A> {
     /// Whether the node has PDOs or a heartbeat consumer.
     const HAS_PROCESS_DATA: bool = Communication::<A::Numbers>::IS_USED;
     /// Whether there is an application, which may have process data and report errors.
-    pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty();
+    pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty() || A::PROGRAM_DOWNLOAD;
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
         let is_served = self.node_id().is_some() && !self.slave.bit_rate().is_switching();
@@ -58,8 +58,8 @@ impl<A: Application> Node<A> {
             product.communication.pdos.note_values();
             agenda.add(Tasks::of(&[Task::Pdos]));
         }
-        product.communication.end_errors(emergency);
         if emergency.has_process_data_errors() {
+            product.communication.end_errors(emergency);
             agenda.add(Tasks::of(&[Task::Messages]));
         }
         if is_any_lost {

@@ -7,7 +7,7 @@ use super::{
 };
 
 /// The number of segments in a block: the most, as each is handled when it arrives.
-const BLOCK_SIZE: u8 = 127;
+pub const BLOCK_SIZE: u8 = 127;
 /// The bit of the last segment of all.
 const LAST: u8 = 0x80;
 
@@ -25,11 +25,11 @@ pub(super) struct BlockDownload {
 }
 
 impl BlockDownload {
-    /// A block download whose client checks data by CRC or not, and the answer to it.
-    pub fn begin(download: Download, has_crc: bool) -> (Self, Message) {
+    /// A block download whose client checks data by CRC or not, and the answer to it, with the size of the first block.
+    pub fn begin(download: Download, has_crc: bool, size: u8) -> (Self, Message) {
         const CRC_SUPPORTED: u8 = 0x04;
         let address = Address::of(download.entry);
-        let answer = Message::new(0xA0 | CRC_SUPPORTED, address, BLOCK_SIZE as u32);
+        let answer = Message::new(0xA0 | CRC_SUPPORTED, address, size as u32);
         let crc = has_crc.then(Crc::default);
         (Self { download, crc, rest: Some(Rest::WHOLE), last: 0, held: None }, answer)
     }
@@ -54,7 +54,11 @@ impl BlockDownload {
         if number == 0 {
             return Err(Abort::SequenceNumber);
         }
-        self.rest = self.rest.and_then(|rest| rest.after(command));
+        let size = match O::PROGRAM_DOWNLOAD {
+            true => objects.granted(self.download.entry),
+            false => BLOCK_SIZE,
+        };
+        self.rest = self.rest.and_then(|rest| rest.after(command, size));
         let is_in_sequence = number == self.last.wrapping_add(1);
         if is_in_sequence {
             self.release(0, objects, buffer)?;
@@ -64,7 +68,11 @@ impl BlockDownload {
         if self.rest.is_some() {
             return Ok(None);
         }
-        let answer = Message::segment(0xA2, [self.last, BLOCK_SIZE, 0, 0, 0, 0, 0]);
+        let next = match O::PROGRAM_DOWNLOAD {
+            true => objects.grant(self.download.entry),
+            false => BLOCK_SIZE,
+        };
+        let answer = Message::segment(0xA2, [self.last, next, 0, 0, 0, 0, 0]);
         let is_complete = is_in_sequence && command & LAST != 0;
         (self.rest, self.last) = ((!is_complete).then_some(Rest::WHOLE), 0);
         Ok(Some(answer))
@@ -122,11 +130,11 @@ impl Rest {
         !begins_transfer || command & !LAST == self.0.wrapping_add(1)
     }
 
-    /// The segments after the one with this first byte, if there are any.
-    pub const fn after(self, command: u8) -> Option<Self> {
+    /// The segments after the one with this first byte, if there are any in a block of this size.
+    pub const fn after(self, command: u8, size: u8) -> Option<Self> {
         match command & !LAST {
             0 => Some(self),
-            number if number == BLOCK_SIZE || command & LAST != 0 => None,
+            number if number == size || command & LAST != 0 => None,
             number => Some(Self(number)),
         }
     }

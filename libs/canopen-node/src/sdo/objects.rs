@@ -19,6 +19,8 @@ pub(crate) enum Content {
 pub(crate) trait Objects {
     /// The time after which an unfinished transfer ends, in microseconds.
     const TIMEOUT_MICROS: u32;
+    /// Whether there are the objects of program download.
+    const PROGRAM_DOWNLOAD: bool;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
     fn read(&mut self, entry: &Entry) -> Result<Content, Abort>;
@@ -38,7 +40,17 @@ pub(crate) trait Objects {
     fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize;
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort>;
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort>;
+    /// The same for a program. Returns the `confirmation`, or `None` if the application gives it later.
+    fn end_program(
+        &mut self,
+        entry: &Entry,
+        len: u32,
+        confirmation: Message,
+    ) -> Result<Option<Message>, Abort>;
     fn abort_domain(&mut self, entry: &Entry);
+    /// The number of segments that the client may send next of a program, and that it was told before.
+    fn grant(&mut self, entry: &Entry) -> u8;
+    fn granted(&mut self, entry: &Entry) -> u8;
 }
 
 /// The memory of the SDO server for the value under way, with room for the longest that a client can write: an array of

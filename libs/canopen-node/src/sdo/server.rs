@@ -2,7 +2,7 @@
 
 use super::{
     Abort, Address, Buffer, Content, Message, Objects,
-    block_download::{BlockDownload, Rest},
+    block_download::{BLOCK_SIZE, BlockDownload, Rest},
     block_upload::BlockUpload,
     download::Download,
     upload::TOGGLE,
@@ -72,7 +72,7 @@ impl<B: Buffer> Server<B> {
         let command = request.command();
         match self.rest.take() {
             Some(rest) if rest.contains(command, begins_transfer(command)) => {
-                self.rest = rest.after(command);
+                self.rest = rest.after(command, BLOCK_SIZE);
             }
             _ if is_served => self.request = Some(request),
             _ => {}
@@ -104,6 +104,27 @@ impl<B: Buffer> Server<B> {
     /// The domain that the current transfer writes.
     pub fn domain(&self) -> Option<&'static Entry> {
         self.transfer.as_ref()?.domain()
+    }
+
+    /// Whether there is a transfer of several messages.
+    pub const fn has_transfer(&self) -> bool {
+        self.transfer.is_some()
+    }
+
+    /// Whether the answer to the request that waits lets the client go on with the download of the object with this index,
+    /// in blocks of this size.
+    pub fn goes_on(&self, index: u16, block_size: u8) -> bool {
+        const LAST: u8 = 0x80;
+        let Some(request) = self.request else { return false };
+        let number = request.command() & !LAST;
+        match &self.transfer {
+            Some(Transfer::Download(download)) => download.entry.index == index,
+            Some(Transfer::BlockDownload(transfer)) => {
+                let is_last = number == block_size || request.command() & LAST != 0;
+                transfer.download.entry.index == index && is_last
+            }
+            _ => false,
+        }
     }
 
     /// Whether a block of an upload has further segments.
@@ -148,7 +169,10 @@ impl<B: Buffer> Server<B> {
             (UPLOAD | BLOCK_UPLOAD, Access::WriteOnly) => Err(Abort::WriteOnly),
             (DOWNLOAD | BLOCK_DOWNLOAD, Access::Const | Access::ReadOnly) => Err(Abort::ReadOnly),
             (DOWNLOAD, _) => self.download(request, entry, objects),
-            (BLOCK_DOWNLOAD, _) => self.block_download(request, entry).map(Some),
+            (BLOCK_DOWNLOAD, _) => {
+                let size = if O::PROGRAM_DOWNLOAD { objects.grant(entry) } else { BLOCK_SIZE };
+                self.block_download(request, entry, size).map(Some)
+            }
             (service, _) => {
                 let value = objects.read(entry)?;
                 if let (UPLOAD, Content::Number(number)) = (service, value) {
@@ -201,6 +225,9 @@ impl<B: Buffer> Server<B> {
         }
         let data = number.to_le_bytes();
         let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
+        if !entry.options.is_streamed() {
+            return objects.write(entry, bytes, confirmation);
+        }
         download
             .add(bytes, objects, self.buffer.as_mut())
             .and_then(|()| download.end(confirmation, objects, self.buffer.as_ref()))
@@ -229,13 +256,15 @@ impl<B: Buffer> Server<B> {
         &mut self,
         request: Message,
         entry: &'static Entry,
+        size: u8,
     ) -> Result<Message, Abort> {
         const CRC_SUPPORTED: u8 = 0x04;
         const SIZE_INDICATED: u8 = 0x02;
         let command = request.command();
         let announced = (command & SIZE_INDICATED != 0).then_some(request.data);
         let download = Download::begin(entry, announced, self.buffer.as_ref())?;
-        let (transfer, answer) = BlockDownload::begin(download, command & CRC_SUPPORTED != 0);
+        let has_crc = command & CRC_SUPPORTED != 0;
+        let (transfer, answer) = BlockDownload::begin(download, has_crc, size);
         self.transfer = Some(Transfer::BlockDownload(transfer));
         Ok(answer)
     }

@@ -269,6 +269,5 @@ impl Response {
 }
 
 const fn bytes(command: u8, number: u32) -> [u8; 8] {
-    let [b1, b2, b3, b4] = number.to_le_bytes();
-    [command, b1, b2, b3, b4, 0, 0, 0]
+    (command as u64 | (number as u64) << 8).to_le_bytes()
 }

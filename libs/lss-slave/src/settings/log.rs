@@ -206,13 +206,22 @@ impl<F: NorFlash> Log<F> {
 impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// Opens the log as [`open`](Log::open) does, for a node with parameters. [`restore`](Self::restore) must follow.
     pub fn open_with_parameters(flash: F) -> (Self, Found) {
+        let mut log = Self::unopened(flash);
+        let found = log.find().unwrap_or_else(Found::MediumFailed);
+        log.space.keep_reserve::<F>();
+        log.other.keep_reserve::<F>();
+        (log, found)
+    }
+
+    /// A log that knows nothing yet of its flash.
+    fn unopened(flash: F) -> Self {
         const {
             let () = F::IS_POSSIBLE;
             assert!(STORED_LEN < u16::MAX as usize, "the parameters take too many bytes");
         }
         let other_is = OtherBank::Used;
         let record = Record { sequence: 0, settings: None, parameters: None, other_is };
-        let mut log = Self {
+        Self {
             flash,
             newest: Newest { record, at: 0, bank: 0 },
             taken: [0; STORED_LEN],
@@ -222,11 +231,13 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             counts: false,
             space: Space::NONE,
             other: Space::NONE,
-        };
-        let found = log.find().unwrap_or_else(Found::MediumFailed);
-        log.space.keep_reserve::<F>();
-        log.other.keep_reserve::<F>();
-        (log, found)
+        }
+    }
+
+    /// The persistent settings, as [`open`](Log::open) finds them, for one who only reads.
+    pub fn peek(flash: F) -> Option<Settings> {
+        let (bank, _) = Self::unopened(flash).search();
+        bank.counts().and_then(|newest| newest.record.settings)
     }
 
     /// The persistent settings; `None` if none were ever stored and the device's defaults apply.

@@ -1,6 +1,6 @@
 //! What CiA 305 leaves open, or where its texts differ: the decisions of the LSS slave of this repository.
 //!
-//! `docs/lss-differences.md` has the reasons. A device that decides otherwise does not violate CiA 305.
+//! `docs/conformance.md` has the reasons. A device that decides otherwise does not violate CiA 305.
 
 use super::{
     Feature, RESPONSE_COB_ID, SILENCE,

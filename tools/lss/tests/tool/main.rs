@@ -19,4 +19,5 @@ mod replace;
 mod services;
 mod set_rate;
 mod slcan;
+mod update;
 mod watch;

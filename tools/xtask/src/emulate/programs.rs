@@ -1,6 +1,9 @@
 //! Programs of others, which run beside the boards with our firmware: their output, and what they touched.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, ensure};
 use emulator::{
@@ -16,6 +19,7 @@ use testkit::{
 };
 
 use super::memory::Memory;
+use crate::release::read_hex;
 
 /// The programs, each on a board of its own after ours.
 #[derive(Default)]
@@ -47,7 +51,7 @@ impl Programs {
     ) -> anyhow::Result<Self> {
         let mut loaded = Self::default();
         for path in paths {
-            let image = Image::load(path)?;
+            let image = load(path)?;
             check(&image, part).with_context(|| path.display().to_string())?;
             let number = network.boards().len();
             let settings = Settings { unique_id: boards::unique_id(number), ..settings };
@@ -82,6 +86,23 @@ impl Programs {
     pub fn report(&self, network: &Network) -> String {
         self.0.iter().map(|program| program.report(network.board(program.number))).collect()
     }
+}
+
+/// The program in an ELF file or in an Intel HEX file.
+fn load(path: &Path) -> anyhow::Result<Image> {
+    if path.extension().is_none_or(|extension| extension != "hex") {
+        return Ok(Image::load(path)?);
+    }
+    let context = || path.display().to_string();
+    let bytes = read_hex(&fs::read_to_string(path).with_context(context)?).with_context(context)?;
+    let mut segments: Vec<(u32, Vec<u8>)> = Vec::new();
+    for (address, byte) in bytes {
+        match segments.last_mut() {
+            Some((start, bytes)) if *start + bytes.len() as u32 == address => bytes.push(byte),
+            _ => segments.push((address, vec![byte])),
+        }
+    }
+    Ok(Image::from_segments(segments))
 }
 
 fn check(image: &Image, part: Part) -> anyhow::Result<()> {

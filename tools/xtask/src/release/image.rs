@@ -2,10 +2,13 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use emulator::{chip::FLASH_BASE, image::Image};
-use ihex::{Reader, Record, create_object_file_representation};
-use testkit::image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET};
+use ihex::{Reader, Record};
+use testkit::{
+    hex,
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
+};
 
 /// The sectors of the settings.
 const SETTINGS: Range<u32> = {
@@ -14,8 +17,6 @@ const SETTINGS: Range<u32> = {
 };
 /// The value of an erased byte.
 const ERASED: u8 = 0xFF;
-/// The data bytes of a line in a HEX file.
-const LINE: u32 = 16;
 
 /// The name of the program's files.
 const NAME: &str = "lss-slave";
@@ -27,7 +28,8 @@ type Part = (u32, Vec<u8>);
 /// settings.
 pub fn files(image: &Image) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
     let parts = parts(image)?;
-    let hex = hex(&parts)?;
+    let borrowed: Vec<_> = parts.iter().map(|(address, bytes)| (*address, &bytes[..])).collect();
+    let hex = hex::file(&borrowed);
     let mut bytes = BTreeMap::new();
     for (address, part) in &parts {
         insert(&mut bytes, *address, part)?;
@@ -63,29 +65,8 @@ fn parts(image: &Image) -> anyhow::Result<Vec<Part>> {
     Ok(parts)
 }
 
-/// The content of an Intel HEX file.
-fn hex(parts: &[Part]) -> anyhow::Result<String> {
-    let mut records = Vec::new();
-    let mut upper = None;
-    for (start, bytes) in parts {
-        let mut rest = &bytes[..];
-        let mut address = *start;
-        while !rest.is_empty() {
-            if upper.replace(address >> 16) != Some(address >> 16) {
-                records.push(Record::ExtendedLinearAddress((address >> 16) as u16));
-            }
-            let len = rest.len().min((LINE - address % LINE) as usize);
-            let (line, after) = rest.split_at(len);
-            records.push(Record::Data { offset: address as u16, value: line.to_vec() });
-            (rest, address) = (after, address + len as u32);
-        }
-    }
-    records.push(Record::EndOfFile);
-    create_object_file_representation(&records).context("the HEX file")
-}
-
 /// The bytes of a HEX file, by address.
-fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
+pub fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
     let mut bytes = BTreeMap::new();
     let mut upper = 0;
     for record in Reader::new(text) {
@@ -132,7 +113,8 @@ mod tests {
     fn a_hex_file_reads_back_as_what_was_written() {
         let bytes: Vec<u8> = (0..=255).cycle().take(0x1_2345).collect();
         let parts = [(VECTORS, vec![7; 3]), (CODE + 5, bytes)];
-        let text = hex(&parts).expect("valid");
+        let borrowed = parts.each_ref().map(|(address, bytes)| (*address, &bytes[..]));
+        let text = hex::file(&borrowed);
         assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
         let read = read_hex(&text).expect("valid");
         assert_eq!(read.len(), 3 + 0x1_2345);

@@ -36,6 +36,8 @@ pub struct Memories<'a> {
     pub guarded: Range<u32>,
     /// The double words of the flash that only rsemu reads.
     pub double_errors: &'a [u32],
+    /// Only rsemu reads the flash, as it may have to wait.
+    pub is_flash_busy: bool,
 }
 
 impl<'a> Memories<'a> {
@@ -56,7 +58,7 @@ impl<'a> Memories<'a> {
 
     fn flash(&self, address: u32, length: u32) -> Option<(&'a RamStore, u64)> {
         let (store, offset) = within(self.flash, FLASH_BASE, address, length)?;
-        let is_good = !self.double_errors.contains(&(offset as u32 & !7));
+        let is_good = !self.is_flash_busy && !self.double_errors.contains(&(offset as u32 & !7));
         is_good.then_some((store, offset))
     }
 
@@ -68,8 +70,10 @@ impl<'a> Memories<'a> {
     }
 
     fn code(&self, address: u32) -> Option<u16> {
-        let (flash, offset) = self.flash(address, 2)?;
-        Some(read(flash, offset, Size::Half)? as u16)
+        let in_ram =
+            || within(self.ram, RAM_BASE, address, 2).filter(|_| !self.is_guarded(address, 2));
+        let (memory, offset) = self.flash(address, 2).or_else(in_ram)?;
+        Some(read(memory, offset, Size::Half)? as u16)
     }
 }
 
@@ -95,7 +99,16 @@ fn write(store: &RamStore, offset: u64, size: Size, value: u32) -> Option<()> {
 }
 
 /// The latest instructions, decoded.
-pub struct Decoded(Vec<(u32, Insn, bool)>);
+pub struct Decoded(Vec<Place>);
+
+/// An instruction, where it was, and whether it is 32 bits long.
+#[derive(Clone, Copy)]
+struct Place {
+    address: u32,
+    code: [u16; 2],
+    insn: Insn,
+    is_wide: bool,
+}
 
 impl Decoded {
     /// A power of two.
@@ -104,29 +117,37 @@ impl Decoded {
     const NOWHERE: u32 = 1;
 
     pub fn new() -> Self {
-        Self(vec![(Self::NOWHERE, Insn::Undefined, false); Self::LENGTH])
+        let (address, insn) = (Self::NOWHERE, Insn::Undefined);
+        Self(vec![Place { address, code: [0; 2], insn, is_wide: false }; Self::LENGTH])
     }
 
     /// Forgets what may lie in these changed bytes of the flash.
     pub fn forget(&mut self, changed: &Range<usize>) {
         let changed = changed.start.saturating_sub(2) as u32..changed.end as u32;
-        for (address, ..) in &mut self.0 {
+        for Place { address, .. } in &mut self.0 {
             if changed.contains(&address.wrapping_sub(FLASH_BASE)) {
                 *address = Self::NOWHERE;
             }
         }
     }
 
-    /// The instruction in the flash at `pc`, and whether it is 32 bits long.
+    /// The instruction at `pc`, and whether it is 32 bits long. In RAM it may have changed.
     fn instruction(&mut self, pc: u32, memories: &Memories) -> Option<(Insn, bool)> {
         let place = &mut self.0[pc as usize / 2 % Self::LENGTH];
-        if place.0 != pc {
+        let is_in_flash = pc < CCM_BASE;
+        if is_in_flash && memories.is_flash_busy {
+            return None;
+        }
+        if place.address != pc || !is_in_flash {
             let first = memories.code(pc)?;
             let is_wide = is_32bit(first);
             let second = if is_wide { memories.code(pc.wrapping_add(2))? } else { 0 };
-            *place = (pc, decode(first, second), is_wide);
+            let code = [first, second];
+            if (place.address, place.code) != (pc, code) {
+                *place = Place { address: pc, code, insn: decode(first, second), is_wide };
+            }
         }
-        Some((place.1, place.2))
+        Some((place.insn, place.is_wide))
     }
 }
 

@@ -65,6 +65,7 @@ impl Machine {
             chip: &self.space.chip,
             guarded: 0..0,
             double_errors: &[],
+            is_flash_busy: false,
         }
     }
 

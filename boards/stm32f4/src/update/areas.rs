@@ -1,0 +1,165 @@
+//! The flash with the places of programs, RUN and BACKUP (RM0090, chapter 3).
+
+use program_update::{Area, Flash, FlashError, crc};
+use stm32f4xx_hal::pac::{CRC, FLASH, RCC};
+
+use crate::{
+    chip::{CHIP, RUN},
+    supply,
+};
+
+const KB: u32 = 1024;
+const COUNT: usize = CHIP.run_sectors() as usize;
+/// The first sector of RUN, which has 64 KB. All others have 128 KB.
+const FIRST: u8 = 4;
+const BACKUP_SECTORS: [u32; COUNT] = [128 * KB; COUNT];
+const RUN_SECTORS: [u32; COUNT] = {
+    let mut sectors = BACKUP_SECTORS;
+    sectors[0] = 64 * KB;
+    sectors
+};
+
+/// FLASH_SR: the end of an operation, busy, and the errors.
+const EOP: u32 = 1 << 0;
+const BUSY: u32 = 1 << 16;
+const ERRORS: u32 = 0b1111_0010;
+const WRITE_PROTECTED: u32 = 1 << 4;
+/// FLASH_CR: programming, erase of a sector, width of a word, start, interrupt at the end, lock.
+const PG: u32 = 1 << 0;
+const SER: u32 = 1 << 1;
+const WORD: u32 = 2 << 8;
+const STRT: u32 = 1 << 16;
+const EOPIE: u32 = 1 << 24;
+const LOCK: u32 = 1 << 31;
+
+/// The time in us after which an operation counts as hung: a word takes 0.1 ms at most, a sector of 128 KB 2 s.
+const WORD_LIMIT: u32 = 10_000;
+const ERASE_LIMIT: u32 = 4_000_000;
+
+/// The flash with both areas.
+pub struct Areas {
+    /// A count of at least a microsecond.
+    now: fn() -> u32,
+    /// The start of the operation under way and its limit.
+    operation: Option<(u32, u32)>,
+}
+
+impl Areas {
+    pub const fn new(now: fn() -> u32) -> Self {
+        Self { now, operation: None }
+    }
+
+    fn registers() -> &'static stm32f4xx_hal::pac::flash::RegisterBlock {
+        // SAFETY: one owner at a time uses them: the loader, or in the program the task that stores.
+        unsafe { &*FLASH::ptr() }
+    }
+
+    /// Whether an operation is under way.
+    pub fn is_busy() -> bool {
+        Self::registers().sr().read().bits() & BUSY != 0
+    }
+
+    /// Acknowledges the interrupt at the end of an operation.
+    pub fn acknowledge() {
+        // SAFETY: a 1 clears the flag.
+        Self::registers().sr().write(|w| unsafe { w.bits(EOP) });
+    }
+
+    fn begin(&mut self, control: u32, limit: u32) -> Result<(), FlashError> {
+        if supply::is_low() {
+            return Err(FlashError::NotAllowed);
+        }
+        let flash = Self::registers();
+        // SAFETY: the two keys unlock FLASH_CR (RM0090, 3.6.1); a 1 clears an error; the operation is one of this driver.
+        unsafe {
+            if flash.cr().read().lock().bit_is_set() {
+                flash.keyr().write(|w| w.key().bits(0x4567_0123));
+                flash.keyr().write(|w| w.key().bits(0xCDEF_89AB));
+            }
+            flash.sr().write(|w| w.bits(ERRORS | EOP));
+            flash.cr().write(|w| w.bits(control | WORD | EOPIE));
+        }
+        self.operation = Some(((self.now)(), limit));
+        Ok(())
+    }
+
+    fn address(area: Area, offset: u32) -> *mut u32 {
+        let base = match area {
+            Area::Run => RUN,
+            Area::Backup => RUN + CHIP.run_kb() * KB,
+        };
+        (base + offset) as *mut u32
+    }
+}
+
+impl Flash for Areas {
+    fn sectors(&self, area: Area) -> &'static [u32] {
+        match area {
+            Area::Run => &RUN_SECTORS,
+            Area::Backup => &BACKUP_SECTORS,
+        }
+    }
+
+    fn read(&mut self, area: Area, offset: u32) -> u32 {
+        // SAFETY: the library reads words of the areas.
+        unsafe { Self::address(area, offset).read_volatile() }
+    }
+
+    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
+        self.begin(PG, WORD_LIMIT)?;
+        // SAFETY: the library programs words of the areas.
+        unsafe { Self::address(area, offset).write_volatile(word) };
+        Ok(())
+    }
+
+    fn erase(&mut self, area: Area, sector: usize) -> Result<(), FlashError> {
+        let first = if area == Area::Run { FIRST } else { FIRST + COUNT as u8 };
+        let number = u32::from(first) + sector as u32;
+        self.begin(SER | number << 3 | STRT, ERASE_LIMIT)
+    }
+
+    fn poll(&mut self) -> Option<Result<(), FlashError>> {
+        let (since, limit) = self.operation?;
+        let flash = Self::registers();
+        let status = flash.sr().read().bits();
+        let is_over = status & BUSY == 0;
+        if !is_over && (self.now)().wrapping_sub(since) < limit {
+            return None;
+        }
+        self.operation = None;
+        // SAFETY: the lock has no other effect.
+        flash.cr().write(|w| unsafe { w.bits(LOCK) });
+        forget_cached();
+        Some(match status & ERRORS {
+            0 if is_over => Ok(()),
+            errors if errors & WRITE_PROTECTED != 0 => Err(FlashError::NotAllowed),
+            _ => Err(FlashError::Failed),
+        })
+    }
+
+    fn crc(&mut self, area: Area, offset: u32, words: u32, so_far: u32) -> u32 {
+        // SAFETY: the unit and its clock have no other user.
+        let (clocks, unit) = unsafe { (&*RCC::ptr(), &*CRC::ptr()) };
+        if so_far == crc::BEGIN {
+            clocks.ahb1enr().modify(|_, w| w.crcen().set_bit());
+            unit.cr().write(|w| w.reset().set_bit());
+        }
+        for word in 0..words {
+            let word = self.read(area, offset + 4 * word);
+            // SAFETY: any word is one.
+            unit.dr().write(|w| unsafe { w.bits(word.reverse_bits()) });
+        }
+        unit.dr().read().bits().reverse_bits()
+    }
+}
+
+/// The data cache, if it is on, may hold old content.
+fn forget_cached() {
+    let flash = Areas::registers();
+    if flash.acr().read().dcen().bit_is_set() {
+        flash.acr().modify(|_, w| w.dcen().clear_bit());
+        flash.acr().modify(|_, w| w.dcrst().set_bit());
+        flash.acr().modify(|_, w| w.dcrst().clear_bit());
+        flash.acr().modify(|_, w| w.dcen().set_bit());
+    }
+}

@@ -1,0 +1,310 @@
+//! The loader: a node with the objects of program download, whose code lies in RAM.
+
+use core::mem::MaybeUninit;
+
+use canopen_node::{
+    Application, Confirmation, Count, Device, Instant, Node,
+    application::Dictionary,
+    lss::StoreError,
+    nmt,
+    object_dictionary::{Description, Entry},
+    sdo,
+    settings::Log,
+};
+use cortex_m::{
+    asm,
+    peripheral::{NVIC, SCB},
+};
+use program_update::{Action, Command, Expected, Unsigned, Updater, crc, header, start::Why};
+use rtic_core::Mutex;
+use stm32f4xx_hal::pac::FLASH;
+
+pub use super::boot::start_or_stay;
+use super::{
+    areas::Areas,
+    mailbox,
+    objects::{code, object},
+};
+use crate::{
+    board::Board,
+    can::{CanPins, Controller, Peripheral},
+    chip::{CHIP, RUN},
+    clock,
+    watchdog::{Task, Watchdog},
+};
+
+/// The words that wait for the flash.
+const RING: usize = 1024;
+
+/// The segments of a block while the flash keeps up.
+const BLOCK_SIZE: u8 = 127;
+/// The time for which an answer is held back while the flash is behind, and the indicators' step of 50 ms at most: some
+/// clients wait for 100 ms.
+const HOLD_MICROS: u32 = 30_000;
+
+type State = Updater<Areas, Unsigned, RING>;
+
+/// The place of the loader's state.
+pub type Place = MaybeUninit<State>;
+
+/// The node with its controller.
+pub type Runner<C> = crate::runner::Runner<C, Loader>;
+
+fn now() -> u32 {
+    clock::now().as_micros()
+}
+
+/// The application of the loader.
+pub struct Loader {
+    updater: &'static mut State,
+    /// The answer to the end of a download.
+    answer: Option<Confirmation>,
+    /// The answer that the program has left.
+    owed: Option<Confirmation>,
+    /// An SDO answer has been given that nobody may have acknowledged.
+    is_answering: bool,
+    /// The segments that the client may send.
+    granted: u8,
+    /// Since when an answer is held back, since the flash is behind.
+    held_since: Option<Instant>,
+}
+
+impl Dictionary for Loader {
+    type Value = ();
+    type SdoBuffer = [u8; 8];
+    type Numbers = Count<0, 0, 0>;
+    const OBJECTS: &'static [Entry] = &[];
+    const STORED_LEN: usize = 0;
+
+    fn descriptions() -> impl Iterator<Item = Description> {
+        core::iter::empty()
+    }
+
+    fn len(&self, _: u8) -> usize {
+        0
+    }
+
+    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
+        0
+    }
+
+    fn parse(_: u8, _: &[u8]) -> Result<(), sdo::Abort> {
+        Err(sdo::Abort::NoObject)
+    }
+
+    fn set(&mut self, (): ()) {}
+}
+
+impl Application for Loader {
+    const PROGRAM_DOWNLOAD: bool = true;
+    const MAY_OPERATE: bool = false;
+
+    fn program(&mut self) -> Option<&mut dyn canopen_node::Program> {
+        Some(self)
+    }
+}
+
+impl canopen_node::Program for Loader {
+    fn read(&mut self, index: u16, sub_index: u8) -> u32 {
+        self.updater.read(object(index, sub_index))
+    }
+
+    fn control(
+        &mut self,
+        value: u8,
+        _: nmt::State,
+        answer: Confirmation,
+    ) -> Result<Option<Confirmation>, sdo::Abort> {
+        self.updater.write_control(value).map_err(code)?;
+        Ok(Some(answer))
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), sdo::Abort> {
+        self.updater.write(offset, bytes).map_err(code)
+    }
+
+    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, sdo::Abort> {
+        self.updater.end(len).map_err(code)?;
+        self.answer = Some(answer);
+        Ok(None)
+    }
+
+    fn grant(&mut self) -> u8 {
+        self.granted = if self.is_behind() { 1 } else { BLOCK_SIZE };
+        self.granted
+    }
+
+    fn granted(&mut self) -> u8 {
+        self.granted
+    }
+
+    fn holds(&mut self, now: Instant) -> bool {
+        let since = *self.held_since.get_or_insert(now);
+        let holds = self.is_behind() && !since.plus_micros(HOLD_MICROS).has_come(now);
+        if !holds {
+            self.held_since = None;
+        }
+        holds
+    }
+
+    fn abort(&mut self) {
+        self.answer = None;
+        self.updater.abort();
+    }
+
+    fn requested(&mut self) {
+        self.updater.requested(now());
+        asm::sev();
+    }
+
+    fn answering(&mut self) {
+        self.is_answering = true;
+    }
+}
+
+impl Loader {
+    /// Whether little room is left for what waits for the flash.
+    fn is_behind(&self) -> bool {
+        self.updater.room() < RING * 4 / 2
+    }
+}
+
+/// What the idle task does.
+pub struct Work {
+    has_reported: bool,
+}
+
+impl Board {
+    /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.
+    pub fn start_loader<C: Peripheral>(
+        mut self,
+        device: Device,
+        place: &'static mut Place,
+        why: Why,
+        can: C,
+        pins: CanPins<C>,
+    ) -> (Runner<C>, Work, Watchdog) {
+        // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
+        let flash = unsafe { FLASH::steal() };
+        flash.acr().modify(|_, w| w.icen().clear_bit().dcen().clear_bit());
+        enable_flash_interrupt();
+        let expected = Expected {
+            vendor_id: device.address.vendor_id,
+            product_code: device.address.product_code,
+            hardware: crc::of(device.hardware_version.as_bytes()),
+            chip: header::text(CHIP.feature),
+            controller: C::NUMBER,
+            address: RUN,
+            capacity: CHIP.run_kb() * 1024 - header::HEADER_LEN as u32,
+            ram: 0x2000_0000..0x2000_0000 + CHIP.ram_kb * 1024,
+            allows_downgrade: true,
+        };
+        let updater = place.write(Updater::new(Areas::new(now), Unsigned, expected, why, now()));
+        let mut device = device.with_rescue(false);
+        if let Some(header) = updater.header() {
+            device.address.revision_number = header.revision_number;
+        }
+        let settings = match mailbox::take_in_force() {
+            Some(in_force) => {
+                device.heartbeat_ms = in_force.heartbeat_ms;
+                Some(in_force.settings)
+            }
+            None => Log::<_, 0>::peek(self.flash),
+        };
+        let owed = (why == Why::Stop).then(Confirmation::of_control);
+        let loader = Loader {
+            updater,
+            answer: None,
+            owed,
+            is_answering: false,
+            granted: BLOCK_SIZE,
+            held_since: None,
+        };
+        let node = Node::with_application(device, settings, loader);
+        let can = Controller::new(can, pins, &mut self.rcc);
+        self.watchdog.feed();
+        (Runner::new(node, can, self.alarm), Work { has_reported: false }, self.watchdog)
+    }
+}
+
+impl Work {
+    /// Does the next step, then sleeps until there may be another: what makes one due signals an event.
+    pub fn step<C: Peripheral>(&mut self, runner: &mut impl Mutex<T = Runner<C>>) {
+        Task::STORE.answer();
+        Task::IDLE.answer();
+        let is_busy = runner.lock(|runner| self.turn(runner));
+        if !is_busy || Areas::is_busy() {
+            asm::wfe();
+        }
+    }
+
+    /// Does the next step; returns whether the flash, or the work before it, goes on.
+    fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) -> bool {
+        runner.refuse_store(StoreError::MediumAccess);
+        let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
+        let loader = runner.node_mut().application_mut();
+        if loader.is_answering && is_idle {
+            loader.is_answering = false;
+            loader.updater.answered(now());
+        }
+        let action = loader.updater.poll(now());
+        let is_holding = loader.held_since.is_some();
+        let is_without_program = loader.updater.is_without_program();
+        if let Some(owed) = loader.owed.take_if(|_| state == nmt::State::PreOperational) {
+            runner.answer(owed, Ok(()));
+        }
+        if is_holding {
+            runner.resume();
+        }
+        if is_without_program != self.has_reported {
+            self.has_reported = is_without_program;
+            match is_without_program {
+                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
+                false => runner.end_report(USER_SOFTWARE),
+            }
+        }
+        match action {
+            Some(Action::Answer(outcome)) => {
+                if let Some(answer) = runner.node_mut().application_mut().answer.take() {
+                    runner.answer(answer, outcome.map_err(code));
+                }
+            }
+            Some(Action::Reset) => {
+                mailbox::hand_over(runner.node(), Command::Start);
+                SCB::sys_reset();
+            }
+            None => {}
+        }
+        runner.node_mut().application_mut().updater.is_busy()
+    }
+}
+
+/// Handles the interrupt of the flash: the end of an operation.
+extern "C" fn handle_flash() {
+    Areas::acknowledge();
+    asm::sev();
+}
+
+/// Enables the interrupt of the flash, which the list of the chip's interrupts lacks for some chips. The vector table
+/// is in RAM.
+fn enable_flash_interrupt() {
+    /// Its number (RM0090, table 62).
+    const FLASH: usize = 4;
+    // SAFETY: loader.x defines the table. The handler touches nothing but the flag of the interrupt.
+    unsafe {
+        (&raw mut __vector_table)
+            .cast::<usize>()
+            .add(16 + FLASH)
+            .write_volatile(handle_flash as *const () as usize);
+        (*NVIC::PTR).iser[0].write(1 << FLASH);
+    }
+}
+
+// SAFETY: only its address is used.
+unsafe extern "C" {
+    /// The vector table of the loader.
+    static mut __vector_table: u32;
+}
+
+/// The emergency error code without a program: software of the user.
+const USER_SOFTWARE: u16 = 0x6200;

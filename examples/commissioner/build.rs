@@ -1,0 +1,15 @@
+//! Passes `memory.x` and the linker scripts to the linker.
+
+use std::{env, fs, path::PathBuf};
+
+fn main() {
+    println!("cargo::rerun-if-changed=memory.x");
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        // Cargo corrects this path in a copy of the folder that has its `target`, and no other.
+        let output = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+        fs::copy("memory.x", output.join("memory.x")).expect("OUT_DIR is writable");
+        for arg in [&format!("-L{}", output.display()), "-Tlink.x", "-Tdefmt.x", "--nmagic"] {
+            println!("cargo::rustc-link-arg-bins={arg}");
+        }
+    }
+}

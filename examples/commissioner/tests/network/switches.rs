@@ -1,0 +1,79 @@
+//! The switch of the whole network to another bit rate.
+
+use canopen_node::{BitRate, BitRateSetting};
+use example_commissioner::application::State;
+use testkit::{
+    sdo::Client,
+    slave_bus::{Defect, Habits, Happening},
+};
+
+use crate::rig::{Rig, address, new_board};
+
+/// A commissioner and 32 boards, all in the table, at 500 kbit/s.
+fn thirty_two() -> Rig {
+    let rate = BitRate::Kbit500;
+    let boards = (1..=32).map(|number| (new_board(address(1, number), rate), Habits::default()));
+    let mut rig = Rig::at(rate, boards);
+    rig.settle();
+    rig.set_table(&(1..=32).map(|number| Some(address(1, number))).collect::<Vec<_>>());
+    assert_eq!(rig.restart(), State::Complete);
+    assert_eq!(rig.node_ids(), (1..=32).map(Some).collect::<Vec<_>>());
+    rig
+}
+
+fn rates(rig: &Rig) -> Vec<BitRate> {
+    let mut rates: Vec<_> = rig.slaves.slaves.iter().map(|slave| slave.rig.bit_rate()).collect();
+    rates.dedup();
+    rates
+}
+
+#[test]
+fn a_network_of_32_boards_goes_to_another_bit_rate_and_stays_there() {
+    let mut rig = thirty_two();
+    assert_eq!(rig.switch(250), State::Complete);
+    assert_eq!(rates(&rig), [BitRate::Kbit250]);
+    for slave in &rig.slaves.slaves {
+        let stored = slave.rig.stored().expect("it was asked for");
+        assert_eq!(
+            (stored.node_id, stored.bit_rate),
+            (None, BitRateSetting::Fixed(BitRate::Kbit250))
+        );
+    }
+    assert_eq!(rig.restart_all(), State::Complete);
+    assert_eq!(rates(&rig), [BitRate::Kbit250]);
+    assert_eq!(rig.number(0x2101, 0), 0);
+}
+
+#[test]
+fn the_old_bit_rate_is_back_if_a_board_does_not_come() {
+    // It has no power from activate bit timing on; it refuses the rate.
+    for fault in [None, Some(Defect::Refuses(&[0x13]))] {
+        let mut rig = thirty_two();
+        rig.slaves.slaves[7].defect = fault;
+        rig.cut_slave_at_activation = fault.is_none().then_some(7);
+        assert_eq!(rig.switch(250), State::TakenBack);
+        rig.slaves.happen(7, Happening::PowerOff);
+        rig.slaves.happen(7, Happening::PowerOn);
+        assert_eq!(rates(&rig), [BitRate::Kbit500]);
+        assert!(rig.nothing_is_stored());
+        assert_eq!(rig.number(0x2101, 0), 0);
+        assert_eq!(rig.restart_all(), State::Complete);
+        assert_eq!(rates(&rig), [BitRate::Kbit500]);
+    }
+}
+
+#[test]
+fn nothing_is_switched_while_a_board_is_missing() {
+    let mut rig = thirty_two();
+    rig.slaves.happen(7, Happening::PowerOff);
+    assert_eq!(rig.switch(250), State::TakenBack);
+    assert!(!rig.take_requests().contains(&0x15));
+    assert_eq!(rates(&rig), [BitRate::Kbit500]);
+}
+
+#[test]
+fn a_bit_rate_that_is_none_is_refused() {
+    let mut rig = Rig::new([]);
+    assert_eq!(rig.download(0x2101, 0, &100_u16.to_le_bytes()), Err(0x0609_0030));
+    assert_eq!(rig.download(0x2200, 0, &[1; 20]), Err(0x0609_0030));
+}

@@ -1,0 +1,111 @@
+//! What is different in a product whose program can be replaced over the bus: `cargo xtask new-product --update`.
+
+use std::io;
+
+/// `cargo update-file`, with the gaps of a template.
+pub(super) const UPDATE_FILE: &str = "examples/update_file.rs";
+
+/// The files in the template and in the product.
+pub(super) const FILES: [(&str, &str); 2] = [
+    ("template/update/loader.rs", "src/loader.rs"),
+    ("template/update/update_file.rs", UPDATE_FILE),
+];
+
+/// A file of the product, a text in it, and the text in its place.
+type Change = (&'static str, &'static str, &'static str);
+
+/// The changes of the files of a product.
+pub(super) const CHANGES: &[Change] = &[
+    (
+        ".cargo/config.toml",
+        "eds = \"run --example eds\"\n",
+        "eds = \"run --example eds\"\nupdate-file = \"run --quiet --example update_file --\"\n",
+    ),
+    (
+        "README.md",
+        "| `cargo eds` |",
+        "| `cargo update-file` | writes loader, program and update file into `target/update`; `lss update` of the firmware's \
+         repository installs it over the bus |\n| `cargo eds` |",
+    ),
+    ("memory.x", "boards/stm32f4/image.x", "boards/stm32f4/program.x"),
+    ("memory.x", "INCLUDE image.x", "INCLUDE program.x"),
+    ("Cargo.toml", "canopen-stm32f4 = { ", "canopen-stm32f4 = { features = [\"update\"], "),
+    (
+        "Cargo.toml",
+        "[[bin]]\nname = \"flash\"",
+        "[[bin]]\nname = \"@name@-loader\"\npath = \"src/loader.rs\"\nrequired-features = [\"@chip@\"]\n\
+         test = false\nbench = false\ndoc = false\n\n[[bin]]\nname = \"flash\"",
+    ),
+    (
+        "Cargo.toml",
+        "[profile.release.package]\n@name@",
+        "# The loader, which has 32 KB.\n[profile.loader]\ninherits = \"release\"\nopt-level = \"z\"\noverflow-checks = false\n\n\
+         [profile.loader.package]\n@name@ = { overflow-checks = false }\n\n[profile.release.package]\n@name@",
+    ),
+    (
+        "build.rs",
+        "        for arg in [&format!(\"-L{}\", output.display()), \"-Tlink.x\", \"-Tdefmt.x\", \"--nmagic\"] {\n            \
+         println!(\"cargo::rustc-link-arg-bins={arg}\");\n        }\n",
+        "        println!(\"cargo::rustc-link-arg-bins=-L{}\", output.display());\n        \
+         println!(\"cargo::rustc-link-arg-bins=--nmagic\");\n        \
+         for arg in [\"-Tlink.x\", \"-Tdefmt.x\"] {\n            \
+         println!(\"cargo::rustc-link-arg-bin=@name@={arg}\");\n        }\n        \
+         for arg in [\"-Tloader.x\", \"--enable-non-contiguous-regions\"] {\n            \
+         println!(\"cargo::rustc-link-arg-bin=@name@-loader={arg}\");\n        }\n",
+    ),
+    (
+        "src/application.rs",
+        "use canopen_node::objects;",
+        "use canopen_node::{Program, objects};\nuse canopen_stm32f4::update::Update;",
+    ),
+    (
+        "src/application.rs",
+        "values Value;\n",
+        "values Value;\n\n    /// What program control does.\n    private update: Update = Update::new();\n",
+    ),
+    (
+        "src/application.rs",
+        "impl canopen_node::Application for Application {}",
+        "impl canopen_node::Application for Application {\n    const PROGRAM_DOWNLOAD: bool = true;\n\n    \
+         fn program(&mut self) -> Option<&mut dyn Program> {\n        Some(&mut self.update)\n    }\n}\n\n\
+         impl Application {\n    /// What program control does.\n    \
+         pub const fn update(&mut self) -> &mut Update {\n        &mut self.update\n    }\n}",
+    ),
+    ("src/main.rs", "board, watchdog::Task}", "board, update::{Confirm, Steps}, watchdog::Task}"),
+    (
+        "src/main.rs",
+        "        watchdog: Watchdog,\n    }",
+        "        steps: Steps,\n        watchdog: Watchdog,\n    }",
+    ),
+    ("src/main.rs", "let (runner, storage", "let (mut runner, storage"),
+    (
+        "src/main.rs",
+        "        (Shared { runner }, Local { indicators: pins.indicators, storage, watchdog })",
+        "        let confirm = Confirm::ByItself;\n        \
+         let steps = runner.application(|application| application.update().begin(confirm));\n        \
+         (Shared { runner }, Local { indicators: pins.indicators, storage, steps, watchdog })",
+    ),
+    ("src/main.rs", "local = [storage], shared", "local = [storage, steps], shared"),
+    (
+        "src/main.rs",
+        "        cx.local.storage.store(&mut cx.shared.runner);\n",
+        "        cx.local.storage.store(&mut cx.shared.runner);\n        \
+         cx.local.steps.step(&mut cx.shared.runner, Application::update);\n",
+    ),
+];
+
+/// Adds the loader to the files of a product, and makes the changes.
+pub(super) fn add(
+    files: &mut Vec<(&'static str, String)>,
+    read: impl Fn(&str) -> io::Result<String>,
+) -> io::Result<()> {
+    for (path, from, to) in CHANGES {
+        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
+        let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
+        file.1 = file.1.replacen(from, to, 1);
+    }
+    for (template, path) in FILES {
+        files.push((path, read(template)?));
+    }
+    Ok(())
+}

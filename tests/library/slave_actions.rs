@@ -1,0 +1,158 @@
+//! The actions of `lss_slave::Slave`: a loop that polls for them ends, in every state.
+
+use lss_slave::{
+    Action, BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, NodeId, Settings, Slave,
+    lss::{Address, FastscanStep, Request, StoreError},
+};
+use testkit::{node_rig::ADDRESS, random::Random};
+
+/// More actions than any input causes.
+const ENDLESS: usize = 8;
+
+const EVENTS: [BusEvent; 7] = [
+    BusEvent::Received,
+    BusEvent::Acknowledged,
+    BusEvent::Error,
+    BusEvent::FormError,
+    BusEvent::HeldDominant,
+    BusEvent::BusOff,
+    BusEvent::BusOffRecovered,
+];
+
+/// Slaves after power-on, with each kind of bit rate and node-ID.
+fn slaves() -> impl Iterator<Item = Slave> + Clone {
+    let rates = BitRates::possible(40_000_000).with_automatic();
+    let settings = [BitRate::Kbit125.into(), BitRateSetting::Automatic].into_iter();
+    let settings = settings.flat_map(|rate| {
+        [None, NodeId::new(5)].map(|node_id| Settings::new(rate).with_node_id(node_id))
+    });
+    settings.flat_map(move |settings| {
+        let slave = Slave::new(ADDRESS, rates, settings);
+        [slave.clone(), slave.with_rescue()]
+    })
+}
+
+fn requests() -> Vec<Frame> {
+    let Address { vendor_id, product_code, revision_number, serial_number } = ADDRESS;
+    let parts = [vendor_id, product_code, revision_number, serial_number];
+    let select = [0x40, 0x41, 0x42, 0x43].into_iter().zip(parts).map(|(command, number)| {
+        let [b1, b2, b3, b4] = number.to_le_bytes();
+        Frame::new(0x7E5, &[command, b1, b2, b3, b4, 0, 0, 0]).expect("a frame")
+    });
+    let others = [
+        Request::SwitchToWaiting,
+        Request::SwitchToConfiguration,
+        Request::ConfigureNodeId(5),
+        Request::ConfigureNodeId(255),
+        Request::ConfigureBitTiming { table: 0, index: 2 },
+        Request::ConfigureBitTiming { table: 0, index: 9 },
+        Request::ActivateBitTiming(0),
+        Request::ActivateBitTiming(100),
+        Request::StoreConfiguration,
+        Request::IdentifyNonConfigured,
+        Request::Fastscan(FastscanStep { id_number: 0, bit_check: 0x80, sub: 0, next: 0 }),
+        Request::InquireNodeId,
+    ];
+    let of_others = [(0x000, &[0x82, 0][..]), (0x18A, &[1, 2]), (0x70A, &[0])]
+        .map(|(cob_id, data)| Frame::new(cob_id, data).expect("a frame"));
+    select.chain(others.map(Request::to_frame)).chain(of_others).collect()
+}
+
+/// A slave with its time, and the states and actions that were seen.
+struct Run {
+    slave: Slave,
+    now: Instant,
+    seen: Seen,
+}
+
+#[derive(Default)]
+struct Seen {
+    is_settled: bool,
+    is_switching: bool,
+    is_listening: bool,
+    is_guest: bool,
+    has_stored: bool,
+    actions: [bool; 5],
+}
+
+impl Run {
+    /// Carries out all actions that are due; panics if they do not end.
+    fn poll(&mut self, input: &str) {
+        let mut number = 0;
+        while let Some(action) = self.slave.poll(self.now) {
+            self.note(action);
+            number += 1;
+            assert!(number < ENDLESS, "{action:?} without end after {input}: {:?}", self.slave);
+        }
+        // A timer that is set to it does not fire without end.
+        let at = self.slave.poll_at();
+        assert!(!at.is_some_and(|at| at.has_come(self.now)), "{at:?} after {input}");
+        let bit_rate = self.slave.bit_rate();
+        self.seen.is_settled |= bit_rate.is_settled();
+        self.seen.is_switching |= bit_rate.is_switching();
+        self.seen.is_listening |= bit_rate.is_listening();
+        self.seen.is_guest |= bit_rate.is_guest();
+    }
+
+    fn note(&mut self, action: Action) {
+        match action {
+            Action::StopTransmitting => self.seen.actions[0] = true,
+            Action::SetBitRate(_) => self.seen.actions[1] = true,
+            Action::Listen(_) => self.seen.actions[2] = true,
+            Action::ResumeTransmitting => self.seen.actions[3] = true,
+            Action::FilterFrames => self.seen.actions[4] = true,
+            action => panic!("{action:?} is a reaction to a frame"),
+        }
+    }
+
+    /// An input of any kind.
+    fn step(&mut self, random: &mut Random, requests: &[Frame]) {
+        match random.within(0..12) {
+            0..3 => {
+                let frame = random.pick(requests);
+                match self.slave.handle_frame(&frame, self.now) {
+                    Some(Action::Store) => {
+                        self.poll("a request to store");
+                        let outcome = random.pick(&[Ok(()), Err(StoreError::Full)]);
+                        let _ = self.slave.handle_stored(outcome, self.now);
+                        self.seen.has_stored = true;
+                    }
+                    Some(Action::ResetCommunication) => self.slave.reset_communication(),
+                    _ => {}
+                }
+                self.poll(&format!("{frame:?}"));
+            }
+            3..6 => {
+                let event = random.pick(&EVENTS);
+                // A fault lasts for a while.
+                for _ in 0..random.within(1..20) {
+                    self.slave.handle_bus_event(event, self.now);
+                    self.poll(&format!("{event:?}"));
+                }
+            }
+            6 => self.slave.note_asked(),
+            7 => self.slave.note_sent(self.now),
+            8 => self.now = self.now.plus_micros(random.within(0..5_000_000) as u32),
+            _ => self.now = self.slave.poll_at().unwrap_or(self.now),
+        }
+        self.poll("time or a note");
+    }
+}
+
+#[test]
+fn a_loop_that_polls_a_slave_ends_in_every_state() {
+    let requests = requests();
+    let mut random = Random::from_environment();
+    let mut seen = Seen::default();
+    for slave in slaves().cycle().take(8 * 30) {
+        let mut run = Run { slave, now: Instant::from_micros(random.u32()), seen };
+        run.poll("power-on");
+        for _ in 0..300 {
+            run.step(&mut random, &requests);
+        }
+        seen = run.seen;
+    }
+    let Seen { is_settled, is_switching, is_listening, is_guest, has_stored, actions } = seen;
+    assert_eq!([is_settled, is_switching, is_listening, is_guest, has_stored], [true; 5]);
+    assert_eq!(actions, [true; 5]);
+}

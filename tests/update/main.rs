@@ -1,0 +1,9 @@
+//! Tests of a product whose program can be replaced over the bus: loader and program on an emulated board.
+
+mod bad_programs;
+mod busy;
+mod install;
+mod master;
+mod power_cut;
+mod resets;
+mod rig;

@@ -1,0 +1,247 @@
+//! `lss update`: installs a program on one board after the other, each with a way back.
+
+use can_bus::sdo;
+use canopen_node::NodeId;
+use program_update::header::HEADER_LEN;
+use serde::Serialize;
+
+use crate::{
+    address,
+    arguments::Update,
+    failure::Failure,
+    network::{
+        loader::{Fate, Loader},
+        nodes,
+        rows::{self, Row},
+    },
+    plan::update_file::{Description, UpdateFile},
+    session::Session,
+};
+
+/// The object with the hardware version.
+const HARDWARE: u16 = 0x1009;
+/// How often a node that was named is asked: a transfer of an earlier run ends after a second.
+const ATTEMPTS: usize = 10;
+
+/// What became of a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Outcome {
+    Installed,
+    /// It had the program on trial.
+    Confirmed,
+    Present,
+    LeftAlone,
+    ProgramFailed,
+    Failed,
+}
+
+/// A board on the bus, and what became of it.
+#[derive(Serialize)]
+struct Board {
+    #[serde(flatten)]
+    row: Row,
+    outcome: Outcome,
+    why: Option<String>,
+}
+
+/// The report as JSON.
+#[derive(Serialize)]
+struct Report<'a> {
+    file: Description,
+    boards: &'a [Board],
+}
+
+/// Installs the file on the boards with these node-IDs, or on all that it is for.
+pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failure> {
+    let file = UpdateFile::read(&arguments.file)?;
+    let rows = match arguments.nodes[..] {
+        [] => rows_of_all(session)?,
+        _ => rows_of(session, &arguments.nodes)?,
+    };
+    let mut boards = Vec::new();
+    for row in rows {
+        let why = misfit(session, &file, &row)?;
+        boards.push(Board { row, outcome: Outcome::LeftAlone, why });
+    }
+    session.progress.clear();
+    if !arguments.json {
+        writeln!(session.out, "{}", file.words())?;
+    }
+    let misfits = boards.iter().filter(|board| board.why.is_some());
+    let misfits: Vec<String> = misfits.map(Board::line).collect();
+    if misfits.len() == boards.len() || !arguments.nodes.is_empty() && !misfits.is_empty() {
+        let words = "the file is not for this board. Nothing was changed";
+        return Err(Failure::Refused(format!("{}\n{words}", misfits.join("\n"))));
+    }
+    if !arguments.json {
+        for line in misfits {
+            writeln!(session.out, "{line}")?;
+        }
+    }
+    let outcome = install_all(session, &file, &mut boards, arguments.json);
+    session.progress.clear();
+    if arguments.json {
+        let report = Report { file: file.description(), boards: &boards };
+        let text = serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?;
+        writeln!(session.out, "{text}")?;
+    } else if let Err(Failure::Stop(_)) = outcome {
+        writeln!(session.out, "not finished: start `lss update` again, and it goes on")?;
+    }
+    outcome?;
+    let failed = boards
+        .iter()
+        .filter(|board| matches!(board.outcome, Outcome::Failed | Outcome::ProgramFailed));
+    let problems: Vec<String> = failed.map(Board::line).collect();
+    Failure::of(&problems)
+}
+
+/// Installs the file on each board that it is for. The others do not get a program that has failed on one.
+fn install_all(
+    session: &mut Session<'_>,
+    file: &UpdateFile,
+    boards: &mut [Board],
+    is_quiet: bool,
+) -> Result<(), Failure> {
+    let all = boards.iter().filter(|board| board.why.is_none()).count();
+    let mut is_bad = false;
+    let fitting = boards.iter_mut().filter(|board| board.why.is_none());
+    for (number, board) in (1..).zip(fitting) {
+        let Some(id) = board.row.node_id.and_then(NodeId::new) else { continue };
+        if is_bad {
+            board.why = Some("left alone, since the program has failed on another board".into());
+            continue;
+        }
+        let who = format!("node {} ({number} of {all})", id.get());
+        (board.outcome, board.why) = match install(session, file, id, &who) {
+            Ok(outcome) => outcome,
+            Err(failure) => (Outcome::Failed, Some(failure.of_board()?)),
+        };
+        is_bad = board.outcome == Outcome::ProgramFailed;
+        let was_operational = board.row.state == Some("operational");
+        if !is_quiet && board.why.is_none() {
+            session.progress.clear();
+            let version = program_update::header::text_of(&file.header.version);
+            let before = board.row.version.as_deref().unwrap_or("-");
+            let mut words = match board.outcome {
+                Outcome::Installed => format!("{before} -> {version}, confirmed"),
+                Outcome::Confirmed => format!("{version}, was on trial: confirmed"),
+                _ => format!("{version}, has it already"),
+            };
+            if was_operational && board.outcome == Outcome::Installed {
+                words += ", pre-operational since the reset";
+            }
+            writeln!(session.out, "{}  {words}", board.name())?;
+            session.out.flush()?;
+        }
+    }
+    Ok(())
+}
+
+/// Installs the file on a board; goes back to the program before if that fails.
+fn install(
+    session: &mut Session<'_>,
+    file: &UpdateFile,
+    id: NodeId,
+    who: &str,
+) -> Result<(Outcome, Option<String>), Failure> {
+    let crc = file.header.crc;
+    let mut loader = Loader::new(session, id, who);
+    let installed = loader.installed()?;
+    let is_started = installed.crc == crc && installed.runs;
+    if is_started && !installed.is_on_trial {
+        return Ok((Outcome::Present, None));
+    }
+    if installed.crc != crc {
+        if installed.runs {
+            loader.stop()?;
+        }
+        let header = &file.bytes[..HEADER_LEN];
+        let outcome = loader.check(header).and_then(|()| loader.install(&file.bytes));
+        if let Err(Failure::Refused(why)) = outcome {
+            let back = loader.go_back()?;
+            return Err(Failure::Refused(format!("{why}. Now {back}")));
+        }
+        outcome?;
+    }
+    // A program that nobody confirms would be taken back.
+    let fate = session.uninterrupted(|session| {
+        let mut loader = Loader::new(session, id, who);
+        if is_started { loader.confirm(crc) } else { loader.start(crc) }
+    })?;
+    Ok(match fate {
+        Fate::Confirmed if is_started => (Outcome::Confirmed, None),
+        Fate::Confirmed => (Outcome::Installed, None),
+        Fate::Failed(why) => (Outcome::ProgramFailed, Some(why)),
+    })
+}
+
+/// All nodes that answer.
+fn rows_of_all(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+    let nodes = nodes::nodes(session)?;
+    match nodes.is_empty() {
+        true => Err(Failure::nobody(session.bus.rate())),
+        false => rows::of(session, nodes),
+    }
+}
+
+/// The nodes with these node-IDs.
+fn rows_of(session: &mut Session<'_>, ids: &[NodeId]) -> Result<Vec<Row>, Failure> {
+    let mut rows = Vec::new();
+    for id in ids {
+        let id = id.get();
+        let mut numbers = Vec::new();
+        for _ in 0..ATTEMPTS {
+            numbers = nodes::serial_numbers(session, id)?;
+            if !numbers.is_empty() {
+                break;
+            }
+        }
+        if numbers.is_empty() {
+            return Err(Failure::NoAnswer(format!(
+                "node {id} does not answer at {}. `lss list` shows who is there. Nothing was changed",
+                session.bus.rate()
+            )));
+        }
+        rows.extend(rows::node(session, id, &numbers)?);
+    }
+    Ok(rows)
+}
+
+/// Why the file is not for a board.
+fn misfit(
+    session: &mut Session<'_>,
+    file: &UpdateFile,
+    row: &Row,
+) -> Result<Option<String>, Failure> {
+    let Some(id) = row.node_id.and_then(NodeId::new) else { return Ok(None) };
+    if row.is_duplicate {
+        return Ok(Some("another board has the same node-ID".into()));
+    }
+    let Some(address) = row.lss_address else {
+        return Ok(Some("it does not tell which product it is (1018h)".into()));
+    };
+    let hardware = sdo::read(&mut session.bus, id.get(), HARDWARE, 0)?.unwrap_or_default();
+    let hardware = String::from_utf8_lossy(&hardware);
+    if let Some(why) = file.misfit(&address, hardware.trim_end_matches('\0')) {
+        return Ok(Some(why));
+    }
+    Loader::new(session, id, "").misses()
+}
+
+impl Board {
+    /// Which board it is.
+    fn name(&self) -> String {
+        let address = self.row.lss_address.as_ref().map_or_else(|| "-".into(), address::text);
+        format!("node {}  {address}", self.row.id_text())
+    }
+
+    /// The same, and why it was left alone or failed.
+    fn line(&self) -> String {
+        let why = self.why.as_deref().unwrap_or_default();
+        match self.outcome {
+            Outcome::LeftAlone => format!("{}  left alone: {why}", self.name()),
+            _ => format!("{}  {why}", self.name()),
+        }
+    }
+}
