@@ -37,7 +37,7 @@ for node in nodes:
         for other in nodes:
             number(other, 0x1F57)
     wait(node)
-    with node.sdo.open(0x1F50, "wb", size=len(file), block_transfer=True) as program:
+    with node.sdo.open(0x1F50, 1, "wb", size=len(file), block_transfer=True) as program:
         program.write(file)
     wait(node)
     control(node, 1)
