@@ -127,12 +127,12 @@ mod tests {
     fn a_file_with_a_byte_for_the_settings_is_refused() {
         assert_eq!(SETTINGS, 0x0800_4000..0x0800_C000);
         for address in [SETTINGS.start, SETTINGS.end - 1] {
-            let text = hex(&[(address, vec![0xFF])]).expect("valid");
+            let text = hex::file(&[(address, &[0xFF])]);
             let error = read_hex(&text).expect_err("a byte for the settings").to_string();
             assert_eq!(error, format!("{address:08X} belongs to the settings"));
         }
         for address in [SETTINGS.start - 1, SETTINGS.end] {
-            read_hex(&hex(&[(address, vec![0])]).expect("valid")).expect("beside the settings");
+            read_hex(&hex::file(&[(address, &[0])])).expect("beside the settings");
         }
     }
 }
