@@ -488,11 +488,8 @@ impl<A: Application> Node<A> {
     /// Performs a step of a task. Without an action the task is over.
     fn perform(&mut self, task: Task, now: Instant) -> Option<Action> {
         let action = match task {
-            // Until the next switch there is none.
-            Task::BitRate if self.slave.bit_rate().is_settled() && !self.agenda.is_holding() => {
-                None
-            }
-            Task::BitRate => self.next_step(now),
+            Task::BitRate if self.has_steps() || self.agenda.is_holding() => self.next_step(now),
+            Task::BitRate => None,
             Task::State => {
                 // In NMT stopped there are neither SDO transfers nor emergency messages.
                 self.agenda.add(Tasks::SENDING);
@@ -519,12 +516,17 @@ impl<A: Application> Node<A> {
         action
     }
 
+    /// Whether the bit rate may have steps: at a proven one there are none before the next switch.
+    const fn has_steps(&self) -> bool {
+        !self.slave.bit_rate().is_settled()
+    }
+
     /// The deadline of a task that has ended at `now`.
     fn deadline(&self, task: Task, now: Instant) -> Option<Instant> {
         let Self { slave, nmt, emergency, sdo, product, periodic, .. } = self;
         let postpone = |due| periodic.postpone(due, now);
         match task {
-            Task::BitRate => slave.poll_at(),
+            Task::BitRate if self.has_steps() => slave.poll_at(),
             Task::Producers => product.communication.late_at(),
             Task::Sdo => sdo.poll_at::<NodeObjects<'_, A>>(),
             Task::Messages if !slave.bit_rate().is_guest() => {
@@ -532,7 +534,7 @@ impl<A: Application> Node<A> {
                 Instant::earliest(heartbeat, emergency.inhibited_until())
             }
             Task::Pdos => product.communication.pdos.poll_at(postpone),
-            Task::Messages | Task::State | Task::Command | Task::Store => None,
+            _ => None,
         }
     }
 

@@ -43,7 +43,8 @@ impl<A: Application> Node<A> {
             program.requested();
         }
         self.sdo.handle(request, self.serves_sdo());
-        if self.is_due(now) {
+        // `poll` holds an answer back while a program has no room for what would follow.
+        if A::PROGRAM_DOWNLOAD || self.is_due(now) {
             self.agenda.add(Tasks::of(&[Task::Sdo]));
             return None;
         }
