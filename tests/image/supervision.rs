@@ -114,7 +114,7 @@ fn a_session_with_a_guest_may_pause_for_60_s() {
 }
 
 #[test]
-#[ignore = "takes one and a half minutes; `.ci/run chips` runs it"]
+#[ignore = "takes 40 s of CPU time; `.ci/run chips` runs it"]
 fn a_session_with_a_guest_may_pause_for_60_s_at_each_pair_of_rates() {
     pause_in_sessions(pairs());
 }
