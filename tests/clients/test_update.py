@@ -78,7 +78,7 @@ def test_python_canopen_installs_a_program_on_two_boards(kit, boards, tmp_path):
 def test_lss_installs_a_program_and_refuses_one_for_another_chip(kit, boards, tmp_path):
     first = (kit / "lss-node.update.bin").read_bytes()
     path = tmp_path / "other.update.bin"
-    path.write_bytes(for_another_chip(first))
+    path.write_bytes(for_another_chip(newer(first)))
     code, _ = boards.lss("update", path)
     assert code == 1
     path.write_bytes(newer(first))
