@@ -121,7 +121,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         &self.node
     }
 
-    /// The node, to be changed. One of the calls below must follow.
+    /// The node, for a change. Call one of the functions below afterwards: they carry out what has become due.
     pub const fn node_mut(&mut self) -> &mut Node<A> {
         &mut self.node
     }

@@ -15,7 +15,7 @@
 //!
 //! # The promise
 //! Whenever the power fails, a later start starts the program that was confirmed last or, if its confirmation was not
-//! answered yet, perhaps the one that was on trial. It never starts a program of which a cell is in doubt. A word whose
+//! answered yet, perhaps the one that was on trial. It never starts a program of which a cell is uncertain. A word whose
 //! programming was interrupted may read as before, as programmed or as anything, differently at each start, and so may
 //! each word whose erase was interrupted.
 //!

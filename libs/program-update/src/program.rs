@@ -134,7 +134,7 @@ impl Program {
     }
 
     /// Confirms the program: it programs two words, reads them back, and waits for that. Without an update it only
-    /// answers. A confirmed program is confirmed again: what the start has read may have been in doubt.
+    /// answers. A confirmed program is confirmed again: what the start has read may have been uncertain.
     ///
     /// # Errors
     /// [`Abort::Hardware`]: the flash failed. The trial goes on.

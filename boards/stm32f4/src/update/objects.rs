@@ -17,6 +17,7 @@ pub struct Update {
 
 /// What a client has asked for, for the task that stores.
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(not(target_os = "none"), expect(dead_code, reason = "the board reads the answer"))]
 pub(super) enum Request {
     Stop,
     Reset,

@@ -1,4 +1,4 @@
-//! A flash in memory whose cells are in doubt after a cut, and whose operations can fail.
+//! A flash in memory whose cells are uncertain after a cut, and whose operations can fail.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -83,7 +83,7 @@ impl Chip {
         }
     }
 
-    /// Whether the area begins with this file and no cell of it is in doubt.
+    /// Whether the area begins with this file and no cell of it is uncertain.
     pub fn holds(&self, area: Area, file: &[u8]) -> bool {
         let mut state = self.0.borrow_mut();
         let words = crate::program::words(file);
@@ -94,7 +94,7 @@ impl Chip {
         })
     }
 
-    /// Switches the power on: what is in doubt reads in some way.
+    /// Switches the power on: what is uncertain reads in some way.
     pub fn start(&self) {
         let state = &mut *self.0.borrow_mut();
         state.has_power = true;

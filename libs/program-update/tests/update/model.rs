@@ -1,6 +1,6 @@
 //! Every run of an update with a few power cuts, on the code of the library.
 //!
-//! What a cut leaves in doubt is chosen at each start, in each way: a word of the journal reads blank, partly
+//! What a cut leaves uncertain is chosen at each start, in each way: a word of the journal reads blank, partly
 //! programmed, set or void; an area whose erase or last word was interrupted reads as its program, or damaged.
 
 mod flash;
