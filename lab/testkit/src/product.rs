@@ -73,7 +73,8 @@ pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Resu
     };
     let loader = image::build_loader(&folder, name, chip, change)?;
     let program = image::build_with(&folder, name, chip, change)?;
-    Ok([Image::from_elf(&loader)?, Image::from_elf(&program)?])
+    let loader = crate::update::in_flash(&Image::from_elf(&loader)?)?;
+    Ok([loader, Image::from_elf(&program)?])
 }
 
 /// A product to be made.

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use canopen_node::Device;
 use canopen_stm32f4::chip::{Chip, RUN};
 use emulator::{
@@ -71,6 +71,20 @@ fn release(version: &str) -> Option<Release> {
     Release::new(next()?, next()?, next()?)
 }
 
+/// A loader in the flash, around the settings: the file that is linked has it in the RAM (`boards/stm32f4/loader.x`).
+pub fn in_flash(linked: &Image) -> anyhow::Result<Image> {
+    let mut segments: Vec<_> = linked.segments().collect();
+    segments.sort();
+    let [(FLASH_BASE, boot), (_, loader)] = segments[..] else { bail!("this is no loader") };
+    let in_sector_0 = SETTINGS_OFFSET as usize - boot.len();
+    let (first, rest) = loader.split_at_checked(in_sector_0).unwrap_or((loader, &[]));
+    let behind = FLASH_BASE + SETTINGS_OFFSET + SETTINGS_LENGTH as u32;
+    Ok(Image::from_segments(vec![
+        (FLASH_BASE, [boot, first].concat()),
+        (behind, rest.to_vec()),
+    ]))
+}
+
 /// The flash of a board as it leaves production: the loader, and the program of an update file.
 pub fn factory(loader: &Image, file: &[u8]) -> Image {
     let of_loader = loader.segments().map(|(address, bytes)| (address, bytes.to_vec()));
@@ -124,7 +138,7 @@ pub fn write(
 ) -> anyhow::Result<()> {
     let loader = image::build_loader(product, name, part, |_| ())?;
     let program = image::build_with(product, name, part, |_| ())?;
-    let images = [Image::from_elf(&loader)?, Image::from_elf(&program)?];
+    let images = [in_flash(&Image::from_elf(&loader)?)?, Image::from_elf(&program)?];
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     for (name, content) in files(name, &images, device, part, controller)? {
         let path = folder.join(name);

@@ -50,8 +50,7 @@ pub(super) const CHANGES: &[Change] = &[
          println!(\"cargo::rustc-link-arg-bins=--nmagic\");\n        \
          for arg in [\"-Tlink.x\", \"-Tdefmt.x\"] {\n            \
          println!(\"cargo::rustc-link-arg-bin=@name@={arg}\");\n        }\n        \
-         for arg in [\"-Tloader.x\", \"--enable-non-contiguous-regions\"] {\n            \
-         println!(\"cargo::rustc-link-arg-bin=@name@-loader={arg}\");\n        }\n",
+         println!(\"cargo::rustc-link-arg-bin=@name@-loader=-Tloader.x\");\n",
     ),
     (
         "src/application.rs",
