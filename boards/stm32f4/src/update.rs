@@ -13,7 +13,7 @@ mod objects;
 mod program;
 
 #[cfg(target_os = "none")]
-pub(crate) use mailbox::{note_reset, take_in_force};
+pub(crate) use mailbox::{reset, take_in_force};
 pub use objects::Update;
 #[cfg(target_os = "none")]
 pub use program::Steps;

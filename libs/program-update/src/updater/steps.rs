@@ -14,7 +14,7 @@ use crate::{
 
 pub(super) const HEADER: u32 = HEADER_LEN as u32;
 /// The words that one step reads at most, in each area.
-pub(super) const CHUNK: u32 = 64;
+pub(super) const CHUNK: u32 = 8;
 pub(super) const BLANK: u32 = u32::MAX;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
