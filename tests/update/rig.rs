@@ -21,7 +21,7 @@ use testkit::{
 pub const PART: Part = Part::Stm32f405;
 const CONTROLLER: u8 = 1;
 pub const NODE: u8 = 5;
-const RATE: BitRate = BitRate::Kbit1000;
+pub const RATE: BitRate = BitRate::Kbit1000;
 
 /// The loader and the program.
 pub static IMAGES: LazyLock<[Image; 2]> = LazyLock::new(|| {

@@ -79,10 +79,7 @@ pub fn in_flash(linked: &Image) -> anyhow::Result<Image> {
     let in_sector_0 = SETTINGS_OFFSET as usize - boot.len();
     let (first, rest) = loader.split_at_checked(in_sector_0).unwrap_or((loader, &[]));
     let behind = FLASH_BASE + SETTINGS_OFFSET + SETTINGS_LENGTH as u32;
-    Ok(Image::from_segments(vec![
-        (FLASH_BASE, [boot, first].concat()),
-        (behind, rest.to_vec()),
-    ]))
+    Ok(Image::from_segments(vec![(FLASH_BASE, [boot, first].concat()), (behind, rest.to_vec())]))
 }
 
 /// The flash of a board as it leaves production: the loader, and the program of an update file.

@@ -228,18 +228,35 @@ impl Board {
 }
 
 impl Work {
-    /// Does the next step, then sleeps until there may be another: what makes one due signals an event.
+    /// Does the next step, then sleeps until there may be another: what makes one due signals an event. Between two locks
+    /// the interrupts of the bus come.
     pub fn step<C: Peripheral>(&mut self, runner: &mut impl Mutex<T = Runner<C>>) {
         Task::STORE.answer();
         Task::IDLE.answer();
-        let is_busy = runner.lock(|runner| self.turn(runner));
-        if !is_busy || Areas::is_busy() {
+        let next = runner.lock(Self::next);
+        if next.is_holding {
+            runner.lock(Runner::resume);
+        }
+        if let Some(owed) = next.owed {
+            runner.lock(|runner| runner.answer(owed, Ok(())));
+        }
+        if next.is_without_program != self.has_reported {
+            self.has_reported = next.is_without_program;
+            runner.lock(|runner| match next.is_without_program {
+                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
+                false => runner.end_report(USER_SOFTWARE),
+            });
+        }
+        if let Some(action) = next.action {
+            runner.lock(|runner| carry_out(runner, action));
+        }
+        if !next.is_busy || Areas::is_busy() {
             asm::wfe();
         }
     }
 
-    /// Does the next step; returns whether the flash, or the work before it, goes on.
-    fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) -> bool {
+    /// Begins the next step; returns what follows.
+    fn next<C: Peripheral>(runner: &mut Runner<C>) -> Next {
         runner.refuse_store(StoreError::MediumAccess);
         let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
         let loader = runner.node_mut().application_mut();
@@ -248,34 +265,37 @@ impl Work {
             loader.updater.answered(now());
         }
         let action = loader.updater.poll(now());
-        let is_holding = loader.held_since.is_some();
-        let is_without_program = loader.updater.is_without_program();
-        if let Some(owed) = loader.owed.take_if(|_| state == nmt::State::PreOperational) {
-            runner.answer(owed, Ok(()));
+        Next {
+            action,
+            is_busy: action.is_some() || loader.updater.is_busy(),
+            is_holding: loader.held_since.is_some(),
+            is_without_program: loader.updater.is_without_program(),
+            owed: loader.owed.take_if(|_| state == nmt::State::PreOperational),
         }
-        if is_holding {
-            runner.resume();
-        }
-        if is_without_program != self.has_reported {
-            self.has_reported = is_without_program;
-            match is_without_program {
-                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
-                false => runner.end_report(USER_SOFTWARE),
+    }
+}
+
+/// What follows a step.
+struct Next {
+    action: Option<Action>,
+    /// The flash, or the work before it, goes on.
+    is_busy: bool,
+    is_holding: bool,
+    is_without_program: bool,
+    owed: Option<Confirmation>,
+}
+
+fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
+    match action {
+        Action::Answer(outcome) => {
+            if let Some(answer) = runner.node_mut().application_mut().answer.take() {
+                runner.answer(answer, outcome.map_err(code));
             }
         }
-        match action {
-            Some(Action::Answer(outcome)) => {
-                if let Some(answer) = runner.node_mut().application_mut().answer.take() {
-                    runner.answer(answer, outcome.map_err(code));
-                }
-            }
-            Some(Action::Reset) => {
-                mailbox::hand_over(runner.node(), Command::Start);
-                SCB::sys_reset();
-            }
-            None => {}
+        Action::Reset => {
+            mailbox::hand_over(runner.node(), Command::Start);
+            SCB::sys_reset();
         }
-        runner.node_mut().application_mut().updater.is_busy()
     }
 }
 
