@@ -36,7 +36,7 @@ fn a_download_right_after_clear_has_each_answer_within_100_ms() {
 const PERIOD: Time = Time::from_ms(100);
 
 /// Fills the bus: requests of an LSS master, each with two frames for nobody behind it.
-fn flood(rig: &mut Rig, by: AdapterId, requests: usize) {
+pub fn flood(rig: &mut Rig, by: AdapterId, requests: usize) {
     let request = on_the_wire(&frames::request("5E"));
     let other = Frame::data(Id::Standard(0x7FF), &[0x55; 8]);
     for frame in [request, other, other].iter().cycle().take(3 * requests) {
@@ -46,7 +46,7 @@ fn flood(rig: &mut Rig, by: AdapterId, requests: usize) {
 
 /// The longest time to the answer of an LSS master, each request having one, and the number of requests: from the end of
 /// the request, or of an own frame that the board had to send before, until the answer is in a mailbox.
-fn slowest_answer(rig: &Rig, since: Time) -> (Time, usize) {
+pub fn slowest_answer(rig: &Rig, since: Time) -> (Time, usize) {
     let request = on_the_wire(&frames::request("5E"));
     let sent: Vec<Sent> = rig.0.sent(since).collect();
     let asked = sent.iter().filter(|sent| sent.frame == request).map(|sent| sent.end);

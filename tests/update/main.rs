@@ -7,3 +7,4 @@ mod master;
 mod power_cut;
 mod resets;
 mod rig;
+mod signed;

@@ -37,6 +37,11 @@ pub fn device(version: &'static str) -> Device {
 
 /// The program with this version in place of its own, which is 0.1.0.
 pub fn program(version: &str) -> Image {
+    with_version(&IMAGES[1], version)
+}
+
+/// A program with this version in place of its own, which is 0.1.0.
+pub fn with_version(program: &Image, version: &str) -> Image {
     let exchange = |bytes: &[u8]| {
         let mut bytes = bytes.to_vec();
         for at in 0..bytes.len().saturating_sub(4) {
@@ -46,7 +51,7 @@ pub fn program(version: &str) -> Image {
         }
         bytes
     };
-    Image::from_segments(IMAGES[1].segments().map(|(at, bytes)| (at, exchange(bytes))).collect())
+    Image::from_segments(program.segments().map(|(at, bytes)| (at, exchange(bytes))).collect())
 }
 
 /// The update file of the program with this version.
@@ -68,7 +73,7 @@ pub fn board() -> Board {
     board
 }
 
-fn stored() -> Vec<u8> {
+pub fn stored() -> Vec<u8> {
     flash_with(&[settings(NODE, RATE)])
 }
 

@@ -48,7 +48,15 @@ pub fn build_changed(
     changes: &[(&str, &str, &str)],
 ) -> anyhow::Result<Vec<u8>> {
     let folder = workspace().join("target/products").join(name);
-    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: false };
+    let product = Product {
+        name,
+        chip,
+        controller,
+        git: None,
+        folder: &folder,
+        has_update: false,
+        is_signed: false,
+    };
     let mut files = product.files()?;
     for (path, from, to) in changes {
         let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
@@ -64,9 +72,34 @@ pub fn build_changed(
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
 pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
+    build_loader_and_program(name, chip, controller, None)
+}
+
+/// The same for a product whose loader takes only programs that the owner of this key has signed.
+pub fn build_signed(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    key: &[u8; 32],
+) -> anyhow::Result<[Image; 2]> {
+    build_loader_and_program(name, chip, controller, Some(key))
+}
+
+fn build_loader_and_program(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    key: Option<&[u8; 32]>,
+) -> anyhow::Result<[Image; 2]> {
     let folder = workspace().join("target/products").join(name);
-    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: true };
-    product.write()?;
+    let is_signed = key.is_some();
+    let product =
+        Product { name, chip, controller, git: None, folder: &folder, has_update: true, is_signed };
+    let mut files = product.files()?;
+    if let (Some(key), Some(file)) = (key, files.iter_mut().find(|file| file.0 == update::KEY.1)) {
+        file.1 = file.1.replace("[0; 32]", &format!("{key:?}"));
+    }
+    product.write_files(&files)?;
     let change = |command: &mut Command| {
         // The HAL is built there already.
         command.arg("--target-dir").arg(workspace().join("target"));
@@ -88,6 +121,8 @@ pub struct Product<'a> {
     pub folder: &'a Path,
     /// The program can be replaced over the bus, by a loader.
     pub has_update: bool,
+    /// The loader takes only signed programs.
+    pub is_signed: bool,
 }
 
 impl Product<'_> {
@@ -122,7 +157,7 @@ impl Product<'_> {
             files.push((path, read(&format!("template/{path}"))?));
         }
         if self.has_update {
-            update::add(&mut files, read)?;
+            update::add(&mut files, self.is_signed, read)?;
         }
         let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
         let fill =
@@ -218,8 +253,15 @@ mod tests {
         git: Option<&str>,
         folder: &Path,
     ) -> Vec<(&'static str, String)> {
-        let product =
-            Product { name: "door-lock", chip, controller, git, folder, has_update: false };
+        let product = Product {
+            name: "door-lock",
+            chip,
+            controller,
+            git,
+            folder,
+            has_update: false,
+            is_signed: false,
+        };
         product.files().expect("this repository has what a product needs")
     }
 
@@ -239,7 +281,11 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len(), "{tracked}");
+        assert_eq!(
+            tracked.lines().count(),
+            TEMPLATE.len() + update::FILES.len() + [update::KEY].len(),
+            "{tracked}"
+        );
     }
 
     #[test]
@@ -252,6 +298,7 @@ mod tests {
             git: None,
             folder,
             has_update: false,
+            is_signed: false,
         };
         let read = |path| fs::read_to_string(workspace().join(path)).expect("a file");
         let firmware: String = OF_FIRMWARE.into_iter().map(read).collect();

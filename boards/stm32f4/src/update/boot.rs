@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// The program's vector table, behind its header.
-const VECTORS: u32 = RUN + 0x200;
+const VECTORS: u32 = RUN.address + 0x200;
 
 // SAFETY: loader.x defines them.
 unsafe extern "C" {

@@ -15,7 +15,13 @@ use cortex_m::{
     asm,
     peripheral::{NVIC, SCB},
 };
-use program_update::{Action, Command, Expected, Unsigned, Updater, crc, header, start::Why};
+#[cfg(not(feature = "signed"))]
+use program_update::Unsigned as Checked;
+#[cfg(feature = "signed")]
+use program_update::signature::{self, Digest, PublicKey, Sha256};
+use program_update::{Action, Command, Expected, Updater, crc, header, start::Why};
+#[cfg(feature = "signed")]
+use program_update::{Area, Flash, Signed as Checked, header::HEADER_LEN};
 use rtic_core::Mutex;
 use stm32f4xx_hal::pac::FLASH;
 
@@ -42,7 +48,7 @@ const BLOCK_SIZE: u8 = 127;
 /// clients wait for 100 ms.
 const HOLD_MICROS: u32 = 30_000;
 
-type State = Updater<Areas, Unsigned, RING>;
+type State = Updater<Areas, Checked, RING>;
 
 /// The place of the loader's state.
 pub type Place = MaybeUninit<State>;
@@ -172,6 +178,8 @@ impl Loader {
 /// What the idle task does.
 pub struct Work {
     has_reported: bool,
+    #[cfg(feature = "signed")]
+    key: &'static PublicKey,
 }
 
 impl Board {
@@ -183,6 +191,7 @@ impl Board {
         why: Why,
         can: C,
         pins: CanPins<C>,
+        #[cfg(feature = "signed")] key: &'static PublicKey,
     ) -> (Runner<C>, Work, Watchdog) {
         // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
         let flash = unsafe { FLASH::steal() };
@@ -194,12 +203,12 @@ impl Board {
             hardware: crc::of(device.hardware_version.as_bytes()),
             chip: header::text(CHIP.feature),
             controller: C::NUMBER,
-            address: RUN,
-            capacity: CHIP.run_kb() * 1024 - header::HEADER_LEN as u32,
+            address: RUN.address,
+            capacity: RUN.kb * 1024 - header::HEADER_LEN as u32,
             ram: 0x2000_0000..0x2000_0000 + CHIP.ram_kb * 1024,
             allows_downgrade: true,
         };
-        let updater = place.write(Updater::new(Areas::new(now), Unsigned, expected, why, now()));
+        let updater = place.write(Updater::new(Areas::new(now), Checked, expected, why, now()));
         let mut device = device.with_rescue(false);
         if let Some(header) = updater.header() {
             device.address.revision_number = header.revision_number;
@@ -223,7 +232,12 @@ impl Board {
         let node = Node::with_application(device, settings, loader);
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
-        (Runner::new(node, can, self.alarm), Work { has_reported: false }, self.watchdog)
+        let work = Work {
+            has_reported: false,
+            #[cfg(feature = "signed")]
+            key,
+        };
+        (Runner::new(node, can, self.alarm), work, self.watchdog)
     }
 }
 
@@ -247,11 +261,53 @@ impl Work {
                 false => runner.end_report(USER_SOFTWARE),
             });
         }
-        if let Some(action) = next.action {
+        #[cfg(feature = "signed")]
+        let action = next.action.and_then(|action| self.check(runner, action));
+        #[cfg(not(feature = "signed"))]
+        let action = next.action;
+        if let Some(action) = action {
             runner.lock(|runner| carry_out(runner, action));
         }
         if !next.is_busy || Areas::is_busy() {
             asm::wfe();
+        }
+    }
+
+    /// Checks a signature or a hash, if that is the action, while the bus goes on; returns what is left to do.
+    #[cfg(feature = "signed")]
+    fn check<C: Peripheral>(
+        &mut self,
+        runner: &mut impl Mutex<T = Runner<C>>,
+        action: Action,
+    ) -> Option<Action> {
+        /// The bytes of the header that are copied under one lock.
+        const PART: usize = 64;
+        match action {
+            Action::Verify => {
+                let mut header = [0; HEADER_LEN];
+                for (to, number) in header.chunks_exact_mut(PART).zip(0..) {
+                    runner.lock(|runner| {
+                        let bytes = runner.node().application().updater.header_bytes();
+                        to.copy_from_slice(&bytes[number * PART..][..PART]);
+                    });
+                }
+                let is_signed = signature::is_signed(&header, self.key);
+                runner
+                    .lock(|runner| runner.node_mut().application_mut().updater.verified(is_signed))
+            }
+            Action::Hash { words } => {
+                let mut hash = Sha256::new();
+                let mut areas = Areas::new(now);
+                for word in 0..words {
+                    let word = areas.read(Area::Run, HEADER_LEN as u32 + 4 * word);
+                    hash.update(word.to_le_bytes());
+                    Task::STORE.answer();
+                    Task::IDLE.answer();
+                }
+                let hash = hash.finalize().into();
+                runner.lock(|runner| runner.node_mut().application_mut().updater.hashed(&hash))
+            }
+            other => Some(other),
         }
     }
 
@@ -296,6 +352,7 @@ fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
             mailbox::hand_over(runner.node(), Command::Start);
             SCB::sys_reset();
         }
+        Action::Verify | Action::Hash { .. } => {}
     }
 }
 

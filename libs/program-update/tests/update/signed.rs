@@ -74,12 +74,7 @@ fn hash(chip: &mut Chip, words: u32) -> [u8; 32] {
 }
 
 /// Downloads a file. The check of the signature ends after its header, or only when the client has sent all.
-fn download(
-    chip: &mut Chip,
-    loader: &mut Loader,
-    file: &[u8],
-    is_late: bool,
-) -> Result<(), Abort> {
+fn download(chip: &mut Chip, loader: &mut Loader, file: &[u8], is_late: bool) -> Result<(), Abort> {
     for (i, part) in file.chunks(16).enumerate() {
         loader.write(16 * i as u32, part)?;
         if !is_late && i == 31 {
