@@ -4,8 +4,11 @@ use emulator::{Time, image::Image};
 
 use super::rig::{Rig, file_of, program};
 
+/// An undefined instruction.
+pub const UNDEFINED: u16 = 0xDE00;
+
 /// The program with this code at its first instruction.
-fn with_first_instruction(code: u16) -> Image {
+pub fn with_first_instruction(code: u16) -> Image {
     let program = program("0.2.0");
     let vectors = program.segments().next().expect("the vectors").1;
     let reset = u32::from_le_bytes(vectors[4..8].try_into().expect("four bytes")) & !1;
@@ -57,7 +60,6 @@ fn a_program_that_hangs_at_once_has_three_starts_then_the_old_one_is_back() {
 
 #[test]
 fn a_program_that_faults_has_three_starts_then_the_old_one_is_back() {
-    const UNDEFINED: u16 = 0xDE00;
     fails(&with_first_instruction(UNDEFINED), Time::from_s(4));
 }
 

@@ -3,8 +3,10 @@
 mod bad_programs;
 mod busy;
 mod install;
+mod links;
 mod master;
 mod power_cut;
 mod resets;
 mod rig;
 mod signed;
+mod trial;

@@ -72,7 +72,8 @@ pub fn build_changed(
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
 pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
-    build_loader_and_program(name, chip, controller, None)
+    let folder = write_with_update(name, chip, controller, None)?;
+    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
 }
 
 /// The same for a product whose loader takes only programs that the owner of this key has signed.
@@ -82,15 +83,26 @@ pub fn build_signed(
     controller: u8,
     key: &[u8; 32],
 ) -> anyhow::Result<[Image; 2]> {
-    build_loader_and_program(name, chip, controller, Some(key))
+    let folder = write_with_update(name, chip, controller, Some(key))?;
+    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
 }
 
-fn build_loader_and_program(
+/// The loader of such a product alone; with a key, one that takes only signed programs.
+pub fn build_loader(
     name: &str,
     chip: Part,
     controller: u8,
     key: Option<&[u8; 32]>,
-) -> anyhow::Result<[Image; 2]> {
+) -> anyhow::Result<Image> {
+    loader_in(&write_with_update(name, chip, controller, key)?, name, chip)
+}
+
+fn write_with_update(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    key: Option<&[u8; 32]>,
+) -> anyhow::Result<PathBuf> {
     let folder = workspace().join("target/products").join(name);
     let is_signed = key.is_some();
     let product =
@@ -100,14 +112,21 @@ fn build_loader_and_program(
         file.1 = file.1.replace("[0; 32]", &format!("{key:?}"));
     }
     product.write_files(&files)?;
-    let change = |command: &mut Command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target"));
-    };
-    let loader = image::build_loader(&folder, name, chip, change)?;
-    let program = image::build_with(&folder, name, chip, change)?;
-    let loader = crate::update::in_flash(&Image::from_elf(&loader)?)?;
-    Ok([loader, Image::from_elf(&program)?])
+    Ok(folder)
+}
+
+/// What is built in `target`, where the HAL is built already.
+fn in_target(command: &mut Command) {
+    command.arg("--target-dir").arg(workspace().join("target"));
+}
+
+fn loader_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
+    let elf = image::build_loader(folder, name, chip, in_target)?;
+    crate::update::in_flash(&Image::from_elf(&elf)?)
+}
+
+fn program_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
+    Ok(Image::from_elf(&image::build_with(folder, name, chip, in_target)?)?)
 }
 
 /// A product to be made.
