@@ -5,6 +5,8 @@ mod areas;
 #[cfg(target_os = "none")]
 mod boot;
 #[cfg(target_os = "none")]
+mod clocks;
+#[cfg(target_os = "none")]
 pub mod loader;
 #[cfg(target_os = "none")]
 mod mailbox;

@@ -28,14 +28,15 @@ use stm32f4xx_hal::pac::FLASH;
 pub use super::boot::start_or_stay;
 use super::{
     areas::Areas,
-    mailbox,
+    clocks, mailbox,
     objects::{code, object},
 };
 use crate::{
-    board::Board,
+    board::{Board, Peripherals},
     can::{CanPins, Controller, Peripheral},
     chip::{CHIP, RUN},
     clock,
+    crystal::Crystal,
     watchdog::{Task, Watchdog},
 };
 
@@ -183,6 +184,11 @@ pub struct Work {
 }
 
 impl Board {
+    /// As [`new`](Self::new), for the loader.
+    pub fn of_loader(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
+        Self::with_clocks(chip, core, crystal, |rcc| clocks::start(crystal, rcc))
+    }
+
     /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.
     pub fn start_loader<C: Peripheral>(
         mut self,

@@ -43,8 +43,7 @@ pub(super) const CHANGES: &[Change] = &[
         "Cargo.toml",
         "[profile.release.package]\n@name@",
         "# The loader, which has 32 KB.\n[profile.loader]\ninherits = \"release\"\nopt-level = \"z\"\noverflow-checks = false\n\n\
-         [profile.loader.package]\n@name@ = { overflow-checks = false }\n\
-         # 500 bytes less than with \"z\".\ncanopen-stm32f4 = { opt-level = \"s\" }\n\n[profile.release.package]\n@name@",
+         [profile.loader.package]\n@name@ = { overflow-checks = false }\n\n[profile.release.package]\n@name@",
     ),
     (
         "build.rs",
