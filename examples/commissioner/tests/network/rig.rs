@@ -86,6 +86,13 @@ fn board_of(device: Device) -> NodeRig {
     NodeRig::with_device(device.with_rescue(true), BoardFlash::blank(0), 0)
 }
 
+/// A new board that stays at its bit rate, as those of others do.
+pub fn plain_board(number: u32) -> NodeRig {
+    let settings = Settings::new(BitRate::Kbit125.into());
+    let device = device(address(1, number)).with_defaults(settings).with_heartbeat_ms(1_000);
+    NodeRig::with_device(device.with_rescue(false), BoardFlash::blank(0), 0)
+}
+
 /// Blank boards of one product.
 pub fn blank(numbers: impl IntoIterator<Item = u32>) -> Vec<NodeRig> {
     numbers.into_iter().map(|number| new_board(address(1, number), BitRate::Kbit125)).collect()
@@ -142,6 +149,18 @@ impl Rig {
     pub fn run_for(&mut self, span: Time) {
         let until = self.network.now() + span;
         while self.network.now() < until {
+            self.step(until);
+        }
+    }
+
+    /// Lets time pass until the commissioner has sent an LSS request with this command specifier.
+    pub fn run_until_request(&mut self, specifier: u8) {
+        let until = self.network.now() + LONGEST;
+        let is_it = |frame: &Frame| {
+            frame.cob_id() == lss::REQUEST_COB_ID && frame.data().first() == Some(&specifier)
+        };
+        while !self.sent.last().is_some_and(is_it) {
+            assert!(self.network.now() < until, "it sends no {specifier:02X}");
             self.step(until);
         }
     }

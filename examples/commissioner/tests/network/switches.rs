@@ -1,13 +1,15 @@
 //! The switch of the whole network to another bit rate.
 
 use canopen_node::{BitRate, BitRateSetting};
+use emulator::Time;
 use example_commissioner::application::State;
 use testkit::{
+    parallel,
     sdo::Client,
     slave_bus::{Defect, Habits, Happening},
 };
 
-use crate::rig::{Rig, address, new_board};
+use crate::rig::{Rig, address, new_board, plain_board};
 
 /// A commissioner and 32 boards, all in the table, at 500 kbit/s.
 fn thirty_two() -> Rig {
@@ -76,4 +78,42 @@ fn a_bit_rate_that_is_none_is_refused() {
     let mut rig = Rig::new([]);
     assert_eq!(rig.download(0x2101, 0, &100_u16.to_le_bytes()), Err(0x0609_0030));
     assert_eq!(rig.download(0x2200, 0, &[1; 20]), Err(0x0609_0030));
+}
+
+/// The milliseconds from activate bit timing to a power cut of the commissioner, and those without power.
+fn short_cuts() -> Vec<(u64, u64)> {
+    let starts = [0, 10, 50, 100, 150, 199, 210, 300, 390];
+    let lengths = [20, 50, 100, 150, 190];
+    starts.into_iter().flat_map(|start| lengths.map(|length| (start, length))).collect()
+}
+
+/// Cuts the power of the commissioner for a moment after activate bit timing; returns the state that it comes to.
+fn cut_in_switch(rig: &mut Rig, (start, length): (u64, u64)) -> State {
+    assert_eq!(rig.download(0x2101, 0, &250_u16.to_le_bytes()), Ok(()));
+    rig.run_until_request(0x15);
+    rig.run_for(Time::from_ms(start));
+    rig.network.power_off(0);
+    rig.run_for(Time::from_ms(length));
+    rig.network.power_on(0);
+    rig.run_for(Time::from_ms(50));
+    rig.settle()
+}
+
+#[test]
+fn a_moment_without_power_in_a_switch_parts_the_commissioner_from_no_board() {
+    let cut = |cut: &(u64, u64)| {
+        // Boards that search for nobody.
+        let boards = (1..=2).map(|number| (plain_board(number), Habits::default()));
+        let mut rig = Rig::at(BitRate::Kbit125, boards);
+        rig.settle();
+        rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
+        assert_eq!(rig.restart(), State::Complete);
+        assert_eq!(cut_in_switch(&mut rig, *cut), State::Complete, "{cut:?}");
+        for _ in 0..2 {
+            assert_eq!(rates(&rig), [BitRate::Kbit250], "{cut:?}");
+            assert_eq!((rig.node_ids(), rig.number(0x2101, 0)), ([1, 2].map(Some).to_vec(), 0));
+            assert_eq!(rig.restart_all(), State::Complete, "{cut:?}");
+        }
+    };
+    parallel::map(&short_cuts(), cut, |_, ()| {});
 }
