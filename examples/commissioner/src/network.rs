@@ -218,9 +218,13 @@ impl<R: Mutex<T = Runner>> Commissioner<R> {
         self.network.heeds_rivals = false;
         let here = self.network.bit_rate();
         let from = if here == to { self.network.commanded_bit_rate() } else { here };
-        if self.is_order_stored && from != to && missing != 0 {
-            self.fetch(missing, if here == to { from } else { to }, here)?;
-            missing = self.ask(missing)?;
+        // The same rate again is an order to look for boards that have not stored it.
+        let rates = if from == to { BitRate::ALL.as_slice() } else { &[from, to] };
+        for other in rates.iter().filter(|rate| **rate != here) {
+            if missing != 0 && (self.is_order_stored || from == to) {
+                self.fetch(missing, *other, here)?;
+                missing = self.ask(missing)?;
+            }
         }
         let mut come = ALL & !missing;
         let mut has_come = from == to;

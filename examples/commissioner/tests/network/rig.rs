@@ -37,6 +37,9 @@ const OWN: u16 = 127;
 /// The longest that it takes to deal with a network.
 const LONGEST: Time = Time::from_s(60);
 
+/// The length of a frame on the bus in the process.
+const FLIGHT_BITS: u64 = 123;
+
 /// The commissioner on the emulated bus, and a gateway to the bus in the process, at the bit rate of most slaves.
 pub struct Rig {
     pub network: Network,
@@ -49,12 +52,27 @@ pub struct Rig {
     requested_at: Time,
     /// The frames of the commissioner.
     pub sent: Vec<Frame>,
-    /// The number of frames of the commissioner after which its power fails.
-    pub cut_after: usize,
-    /// A slave, and the number of frames of the commissioner after which its power fails.
-    pub cut_slave_after: Option<(usize, usize)>,
-    /// A slave whose power fails at activate bit timing.
-    pub cut_slave_at_activation: Option<usize>,
+    /// The frames of the commissioner and of the slaves.
+    pub frames: Vec<Frame>,
+    /// The power cut to come.
+    pub cut: Option<Cut>,
+    /// The end of a power cut of the commissioner.
+    power_on_at: Option<Time>,
+}
+
+/// A power cut.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut {
+    pub party: Party,
+    /// The number of frames after which it begins.
+    pub after: usize,
+    pub span: Time,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Party {
+    Commissioner,
+    Slave(usize),
 }
 
 /// A commissioner with an empty table at this rate; those with different numbers have different serial numbers.
@@ -136,9 +154,9 @@ impl Rig {
             answers,
             requested_at: Time::ZERO,
             sent,
-            cut_after: usize::MAX,
-            cut_slave_after: None,
-            cut_slave_at_activation: None,
+            frames: Vec::new(),
+            cut: None,
+            power_on_at: None,
         };
         // It comes to the bus.
         rig.run_for(Time::from_ms(50));
@@ -167,18 +185,51 @@ impl Rig {
 
     /// Lets time pass until a frame or something in a slave comes.
     fn step(&mut self, until: Time) {
+        // The gateway soon follows the commissioner to another bit rate.
+        let until = until.min(self.network.now() + Time::from_ms(2));
+        let until = self.power_on_at.map_or(until, |at| at.min(until));
         let next = Time::from_us(self.slaves.next_at().min(until.as_us() + 1)).min(until);
         let span = next.saturating_sub(self.network.now());
-        if let Some((_, frame)) = self.network.run_until_received(self.gateway, span) {
+        if let Some((_, frame)) = self.network.run_until_received(self.witness, span) {
+            self.note(from_the_wire(&frame).expect("a frame of CANopen"));
+        }
+        while let Some((_, frame)) = self.network.receive(self.gateway) {
             self.take(from_the_wire(&frame).expect("a frame of CANopen"));
         }
-        let now = self.network.now().as_us();
-        while let Some((_, frame)) = self.slaves.run(now) {
+        let now = self.network.now();
+        if self.power_on_at.take_if(|at| *at <= now).is_some() {
+            self.network.power_on(0);
+        }
+        while let Some((_, frame)) = self.slaves.run(now.as_us()) {
             self.network.send(self.gateway, on_the_wire(&frame));
         }
-        while self.network.receive(self.witness).is_some() {}
         self.follow_bit_rate();
         self.check();
+    }
+
+    /// Notes a frame on the bus, except for those of a client, and cuts the power behind it.
+    fn note(&mut self, frame: Frame) {
+        if [0x580 + OWN, 0x600 + OWN].contains(&frame.cob_id()) {
+            return;
+        }
+        self.frames.push(frame);
+        if let Some(cut) = self.cut.take_if(|cut| cut.after <= self.frames.len()) {
+            let now = self.network.now();
+            match cut.party {
+                Party::Commissioner => {
+                    self.network.power_off(0);
+                    self.power_on_at = Some(now + cut.span);
+                }
+                // It has received the frame, on the bus in the process, and not answered.
+                Party::Slave(slave) => {
+                    let at = now.as_us()
+                        + FLIGHT_BITS * 1_000 / u64::from(self.slaves.rate.kbit_per_s())
+                        + 50;
+                    self.slaves.plan(at, slave, Happening::PowerOff);
+                    self.slaves.plan(at + cut.span.as_us(), slave, Happening::PowerOn);
+                }
+            }
+        }
     }
 
     /// Passes a frame of the commissioner on.
@@ -192,35 +243,17 @@ impl Rig {
             self.requested_at = self.network.now();
         }
         self.slaves.send(frame);
-        if self.sent.len() >= self.cut_after {
-            self.cut_after = usize::MAX;
-            self.network.power_off(0);
-        }
-        if let Some((slave, after)) = self.cut_slave_after
-            && self.sent.len() >= after
-        {
-            self.cut_slave_after = None;
-            self.slaves.happen(slave, Happening::PowerOff);
-        }
-        if frame.data().first() == Some(&0x15)
-            && let Some(slave) = self.cut_slave_at_activation.take()
-        {
-            self.slaves.happen(slave, Happening::PowerOff);
-        }
     }
 
+    /// Puts the gateway at the bit rate of the commissioner if a slave is there, and else at that of most slaves.
     fn follow_bit_rate(&mut self) {
         let mut rates = BTreeMap::new();
         for slave in self.slaves.slaves.iter().filter(|slave| slave.is_powered) {
-            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 2;
+            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 1;
         }
-        // The commissioner decides if as many are at one rate as at another.
-        let own = self.network.board(0).chip().can(1).bit_rate();
-        if let Some(own) = BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own) {
-            *rates.entry(own).or_insert(0) += 1;
-        }
+        let own = self.own_rate().filter(|own| rates.is_empty() || rates.contains_key(own));
         let most = rates.into_iter().max_by_key(|(_, count)| *count);
-        if let Some((rate, _)) = most
+        if let Some(rate) = own.or(most.map(|(rate, _)| rate))
             && rate != self.slaves.rate
         {
             self.slaves.open(rate, true);
@@ -228,6 +261,16 @@ impl Rig {
                 self.network.adapter_mut(adapter).set_bit_rate(bit_per_s(rate));
             }
         }
+    }
+
+    fn own_rate(&mut self) -> Option<BitRate> {
+        let own = self.network.board(0).chip().can(1).bit_rate();
+        BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own)
+    }
+
+    /// The bit rate of the commissioner.
+    pub fn rate(&mut self) -> BitRate {
+        self.own_rate().expect("it takes part")
     }
 
     /// No two nodes have one node-ID.
@@ -254,9 +297,6 @@ impl Rig {
         loop {
             assert!(self.network.now() < until, "it comes to no end");
             self.run_for(Time::from_ms(100));
-            if !self.network.board(0).is_powered() {
-                return State::Asking;
-            }
             // A switch of the bit rate wants silence.
             if self.network.now() < self.requested_at + Time::from_ms(600) {
                 continue;
@@ -331,9 +371,16 @@ impl Rig {
 
     /// Asks for a bit rate, and lets the commissioner switch.
     pub fn switch(&mut self, rate: u16) -> State {
-        assert_eq!(self.download(0x2101, 0, &rate.to_le_bytes()), Ok(()));
-        self.run_for(Time::from_ms(100));
+        self.order(rate);
         self.settle()
+    }
+
+    /// Asks for a bit rate.
+    pub fn order(&mut self, rate: u16) {
+        let [low, high] = rate.to_le_bytes();
+        self.confirm([0x2B, 0x01, 0x21, 0, low, high, 0, 0]);
+        self.run_for(Time::from_ms(100));
+        self.answers.clear();
     }
 
     /// The rows of the table.

@@ -52,8 +52,12 @@ fn the_old_bit_rate_is_back_if_a_board_does_not_come() {
     for fault in [None, Some(Defect::Refuses(&[0x13]))] {
         let mut rig = thirty_two();
         rig.slaves.slaves[7].defect = fault;
-        rig.cut_slave_at_activation = fault.is_none().then_some(7);
-        assert_eq!(rig.switch(250), State::TakenBack);
+        rig.order(250);
+        if fault.is_none() {
+            rig.run_until_request(0x15);
+            rig.slaves.happen(7, Happening::PowerOff);
+        }
+        assert_eq!(rig.settle(), State::TakenBack);
         rig.slaves.happen(7, Happening::PowerOff);
         rig.slaves.happen(7, Happening::PowerOn);
         assert_eq!(rates(&rig), [BitRate::Kbit500]);
@@ -89,7 +93,7 @@ fn short_cuts() -> Vec<(u64, u64)> {
 
 /// Cuts the power of the commissioner for a moment after activate bit timing; returns the state that it comes to.
 fn cut_in_switch(rig: &mut Rig, (start, length): (u64, u64)) -> State {
-    assert_eq!(rig.download(0x2101, 0, &250_u16.to_le_bytes()), Ok(()));
+    rig.order(250);
     rig.run_until_request(0x15);
     rig.run_for(Time::from_ms(start));
     rig.network.power_off(0);
