@@ -316,6 +316,8 @@ impl Rig {
     /// The state, unless the commissioner is silent, such as while it looks for the others at another rate.
     fn ask_state(&mut self) -> Option<State> {
         use State::*;
+        // One that came too late.
+        self.answers.clear();
         self.confirm([0x40, 0x00, 0x21, 1, 0, 0, 0, 0]);
         let until = self.network.now() + Time::from_ms(200);
         while self.answers.is_empty() && self.network.now() < until {
