@@ -58,8 +58,8 @@ fn twenty_blank_boards_get_a_node_id_each_while_the_button_is_held() {
     assert_eq!(rig.number(0x2100, 2), (1 << 20) - 1);
 }
 
-#[test]
-fn boards_with_the_release_image_are_commissioned_and_switched() {
+/// Three boards with the release image, just commissioned.
+fn three_real() -> Rig {
     let mut rig = Rig::new([]);
     for number in 1..=3 {
         rig.network.add_board(blank_board(Firmware::Default, number));
@@ -68,6 +68,12 @@ fn boards_with_the_release_image_are_commissioned_and_switched() {
     rig.run_for(BOOT);
     assert_eq!(rig.restart(), State::New);
     assert_eq!([(); 3].map(|()| rig.press()), [State::New, State::New, State::Complete]);
+    rig
+}
+
+#[test]
+fn boards_with_the_release_image_are_commissioned_and_switched() {
+    let mut rig = three_real();
     assert_eq!(rig.switch(500), State::Complete);
     for board in 0..4 {
         rig.network.power_off(board);

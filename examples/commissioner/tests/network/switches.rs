@@ -9,7 +9,10 @@ use testkit::{
     slave_bus::{Defect, Habits, Happening},
 };
 
-use crate::rig::{Rig, address, new_board, plain_board};
+use crate::{
+    rig::{Rig, address, new_board, plain_board},
+    three_real,
+};
 
 /// A commissioner and 32 boards, all in the table, at 500 kbit/s.
 fn thirty_two() -> Rig {
@@ -92,8 +95,8 @@ fn short_cuts() -> Vec<(u64, u64)> {
 }
 
 /// Cuts the power of the commissioner for a moment after activate bit timing; returns the state that it comes to.
-fn cut_in_switch(rig: &mut Rig, (start, length): (u64, u64)) -> State {
-    rig.order(250);
+fn cut_in_switch(rig: &mut Rig, rate: u16, (start, length): (u64, u64)) -> State {
+    rig.order(rate);
     rig.run_until_request(0x15);
     rig.run_for(Time::from_ms(start));
     rig.network.power_off(0);
@@ -112,7 +115,7 @@ fn a_moment_without_power_in_a_switch_parts_the_commissioner_from_no_board() {
         rig.settle();
         rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
         assert_eq!(rig.restart(), State::Complete);
-        assert_eq!(cut_in_switch(&mut rig, *cut), State::Complete, "{cut:?}");
+        assert_eq!(cut_in_switch(&mut rig, 250, *cut), State::Complete, "{cut:?}");
         for _ in 0..2 {
             assert_eq!(rates(&rig), [BitRate::Kbit250], "{cut:?}");
             assert_eq!((rig.node_ids(), rig.number(0x2101, 0)), ([1, 2].map(Some).to_vec(), 0));
@@ -120,4 +123,56 @@ fn a_moment_without_power_in_a_switch_parts_the_commissioner_from_no_board() {
         }
     };
     parallel::map(&short_cuts(), cut, |_, ()| {});
+}
+
+#[test]
+fn release_images_meet_again_after_a_moment_without_power_in_a_switch() {
+    let mut rig = three_real();
+    for (rate, length) in [(250, 20), (500, 50), (250, 100), (500, 150), (250, 190)] {
+        assert_eq!(cut_in_switch(&mut rig, rate, (0, length)), State::Complete, "{length} ms");
+        let rates: Vec<u32> =
+            (0..4).map(|board| rig.network.board(board).chip().can(1).bit_rate()).collect();
+        assert_eq!(rates, [u32::from(rate) * 1_000; 4], "{length} ms");
+        assert_eq!((rig.number(0x2100, 2), rig.number(0x2101, 0)), (0b111, 0));
+    }
+}
+
+#[test]
+fn a_board_on_the_supply_of_the_commissioner_is_not_parted_from_the_others() {
+    for length in [20, 150] {
+        let boards = (1..=3).map(|number| (plain_board(number), Habits::default()));
+        let mut rig = Rig::at(BitRate::Kbit125, boards);
+        rig.settle();
+        rig.set_table(&[1, 2, 3].map(|number| Some(address(1, number))));
+        rig.restart();
+        rig.order(250);
+        rig.run_until_request(0x15);
+        // The others have received it.
+        rig.run_for(Time::from_ms(2));
+        rig.network.power_off(0);
+        rig.slaves.happen(0, Happening::PowerOff);
+        rig.run_for(Time::from_ms(length));
+        rig.network.power_on(0);
+        rig.slaves.happen(0, Happening::PowerOn);
+        rig.run_for(Time::from_ms(50));
+        assert_eq!((rig.settle(), rates(&rig)), (State::Complete, vec![BitRate::Kbit250]));
+    }
+}
+
+#[test]
+fn the_commissioner_is_silent_in_both_delays_of_a_switch() {
+    let mut rig = Rig::new([new_board(address(1, 1), BitRate::Kbit125)]);
+    rig.settle();
+    rig.set_table(&[Some(address(1, 1))]);
+    rig.restart();
+    // One of its heartbeats would come then.
+    for (step, rate) in [250, 125].into_iter().cycle().take(10).enumerate() {
+        rig.run_for(Time::from_ms(100 * step as u64));
+        rig.order(rate);
+        rig.run_until_request(0x15);
+        let sent = rig.sent.len();
+        rig.run_for(Time::from_ms(395));
+        assert_eq!(rig.sent.len(), sent, "in switch {step}");
+        assert_eq!(rig.settle(), State::Complete);
+    }
 }
