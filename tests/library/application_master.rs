@@ -2,7 +2,7 @@
 //! node and stores its values.
 
 use canopen_node::{
-    Action, Application, BitRate, BitRateSetting, BusEvent, Frame, Instant, NodeId,
+    Action, Application, BitRate, BitRateSetting, BusEvent, Frame, Instant, NodeId, Settings,
     application::Event, lss::StoreError, master::Inbox, objects,
 };
 use testkit::{
@@ -39,14 +39,19 @@ impl Application for Commander {
 }
 
 fn board() -> NodeRig<Commander> {
-    board_with(false)
-}
-
-/// A board at 1 Mbit/s, which may search for the others.
-fn board_with(rescue: bool) -> NodeRig<Commander> {
-    let device = device(ADDRESS).with_defaults(defaults(0x40)).with_rescue(rescue);
+    let device = device(ADDRESS).with_defaults(defaults(0x40));
     let mut board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Commander::new());
     board.let_stores_take_time();
+    board.timeline();
+    board
+}
+
+/// A board at an unproven bit rate of 1 Mbit/s that sends nothing by itself.
+fn unproven() -> NodeRig<Commander> {
+    let device = device(ADDRESS).with_rescue(true);
+    let device = device.with_defaults(Settings::new(BitRate::Kbit1000.into()));
+    let mut board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Commander::new());
+    board.is_acknowledged = false;
     board.timeline();
     board
 }
@@ -82,8 +87,7 @@ fn a_master_sends_its_frames_unless_the_node_is_silent() {
 
 #[test]
 fn a_master_pauses_when_nobody_acknowledges_its_frames() {
-    let mut board = board_with(true);
-    board.see(BusEvent::NonePending);
+    let mut board = unproven();
     let send = |board: &mut NodeRig<Commander>| board.node.send(stranger(), now(board));
     assert_eq!(send(&mut board), Some(Action::Transmit(stranger())));
     board.pass_ms(99);
@@ -94,12 +98,12 @@ fn a_master_pauses_when_nobody_acknowledges_its_frames() {
 
 #[test]
 fn a_master_that_searches_takes_part_at_the_bit_rate_that_it_is_told() {
-    // That of its search, and home.
-    for (rate, others_at_ms) in [(BitRate::Kbit800, 0), (BitRate::Kbit1000, 45)] {
-        let mut board = board_with(true);
+    // After so many milliseconds it listens at this rate, the second time at home.
+    for (rate, ms) in [(BitRate::Kbit800, 0), (BitRate::Kbit1000, 1_110)] {
+        let mut board = unproven();
         board.see(BusEvent::Error);
-        board.pass_ms(others_at_ms);
-        assert!(board.node.is_listening());
+        board.pass_ms(ms);
+        assert_eq!((board.bit_rate(), board.node.is_listening()), (rate, true));
         board.timeline();
         assert!(board.node.switch_bit_rate(rate, 0, now(&board)));
         board.pass_us(0);
@@ -168,7 +172,7 @@ fn an_application_that_is_no_master_commands_nothing() {
 fn the_inbox_of_a_master_has_answers_stores_nodes_and_rivals() {
     let mut inbox = Inbox::EMPTY;
     let node = |id| NodeId::new(id).expect("a node-ID");
-    let mut hear = |inbox: &mut Inbox, cob_id| {
+    let hear = |inbox: &mut Inbox, cob_id| {
         let frame = Frame::new(cob_id, &[0x44]).expect("a frame");
         inbox.hear(&frame, Instant::from_micros(7));
         frame
