@@ -1,5 +1,5 @@
 //! An application that is the LSS master of its network: it hears all frames, sends its own, switches the bit rate of its
-//! node and stores its values.
+//! node and stores its values; and the inbox that such an application may have.
 
 use canopen_node::{
     Action, Application, BitRate, BitRateSetting, BusEvent, Frame, Instant, NodeId, Settings,

@@ -63,7 +63,7 @@ impl Inbox {
 
     /// Whether this node was heard since the last call of [`forget`](Self::forget).
     pub const fn has_heard(&self, node: NodeId) -> bool {
-        self.nodes >> node.get() & 1 == 1
+        self.nodes >> (node.get() & 0x7F) & 1 == 1
     }
 
     /// Whether another LSS master was heard since then.

@@ -79,9 +79,13 @@ fn boards_with_the_release_image_are_commissioned_and_switched() {
         rig.network.power_off(board);
     }
     rig.run_for(Time::from_ms(10));
-    for board in 0..4 {
+    // Each has stored the rate, and finds nobody.
+    for board in 1..4 {
         rig.network.power_on(board);
+        rig.run_for(Time::from_ms(50));
+        assert_eq!(rig.network.board(board).chip().can(1).bit_rate(), 500_000);
     }
+    rig.network.power_on(0);
     rig.run_for(Time::from_ms(50));
     assert_eq!((rig.settle(), rig.slaves.rate), (State::Complete, BitRate::Kbit500));
     assert_eq!(rig.number(0x2100, 2), 0b111);
@@ -243,9 +247,12 @@ fn two_commissioners_with_one_table_do_not_disturb_each_other() {
     let mut second = commissioner(1, RATE);
     second.set_flash(0, &flash);
     rig.network.add_board(second);
-    rig.network.power_off(0);
+    (0..2).for_each(|board| rig.network.power_off(board));
     rig.run_for(Time::from_ms(10));
+    // Each begins while the other sends its first request.
     rig.network.power_on(0);
+    rig.run_for(Time::from_us(300));
+    rig.network.power_on(1);
     rig.run_for(Time::from_s(30));
     assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
     for board in 0..2 {
