@@ -38,16 +38,15 @@ type Outcome<T> = Result<T, Rival>;
 pub struct Commissioner<R> {
     network: Network<R>,
     button: &'static ErasedPin<Input>,
-    serial_number: u32,
     /// The order for a bit rate is in the flash; at power-on it is one that a power cut has interrupted.
     is_order_stored: bool,
 }
 
 impl<R: Mutex<T = Runner>> Commissioner<R> {
-    pub fn new(runner: R, button: &'static ErasedPin<Input>, serial_number: u32) -> Self {
+    pub fn new(runner: R, button: &'static ErasedPin<Input>) -> Self {
         let mut network = Network::new(runner, TIMING);
         let is_order_stored = network.read(Application::asked_rate).is_some();
-        Self { network, button, serial_number, is_order_stored }
+        Self { network, button, is_order_stored }
     }
 
     /// Commissions the network at power-on, and again when the button or a client asks for it, or a board has lost its
@@ -61,9 +60,7 @@ impl<R: Mutex<T = Runner>> Commissioner<R> {
             let outcome = self.round(takes);
             self.network.change(|objects| objects.state = outcome.unwrap_or(State::Rival) as u8);
             if outcome.is_err() {
-                // Another commissioner waits for another time.
-                let more = (now().as_micros() ^ self.serial_number) & 0xF_FFFF;
-                while self.network.pause(QUIET_MICROS + more).is_err() {
+                while self.network.pause(QUIET_MICROS).is_err() {
                     self.forget();
                 }
             }

@@ -240,24 +240,27 @@ fn it_stays_away_from_the_work_of_another_master() {
 
 #[test]
 fn two_commissioners_with_one_table_do_not_disturb_each_other() {
-    let mut rig = Rig::new(blank(1..=2));
-    rig.settle();
-    rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
-    let flash = rig.network.board(0).flash();
-    let mut second = commissioner(1, RATE);
-    second.set_flash(0, &flash);
-    rig.network.add_board(second);
-    (0..2).for_each(|board| rig.network.power_off(board));
-    rig.run_for(Time::from_ms(10));
-    // Each begins while the other sends its first request.
-    rig.network.power_on(0);
-    rig.run_for(Time::from_us(300));
-    rig.network.power_on(1);
-    rig.run_for(Time::from_s(30));
-    assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
-    for board in 0..2 {
-        assert_eq!(rig.pattern(board), (16, 0), "both know that all are there");
-        assert_eq!(rig.network.board(board).flash(), flash);
+    // The second one begins so many microseconds later.
+    for (rate, later_us) in [(RATE, 300), (BitRate::Kbit1000, 0), (BitRate::Kbit1000, 100)] {
+        let boards = [1, 2].map(|number| (new_board(address(1, number), rate), Habits::default()));
+        let mut rig = Rig::at(rate, boards);
+        rig.settle();
+        rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
+        let flash = rig.network.board(0).flash();
+        let mut second = commissioner(1, rate);
+        second.set_flash(0, &flash);
+        rig.network.add_board(second);
+        (0..2).for_each(|board| rig.network.power_off(board));
+        rig.run_for(Time::from_ms(10));
+        rig.network.power_on(0);
+        rig.run_for(Time::from_us(later_us));
+        rig.network.power_on(1);
+        rig.run_for(Time::from_s(30));
+        assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
+        for board in 0..2 {
+            assert_eq!(rig.pattern(board), (16, 0), "both know that all are there");
+            assert_eq!(rig.network.board(board).flash(), flash);
+        }
     }
 }
 
