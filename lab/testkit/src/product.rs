@@ -21,17 +21,21 @@ const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
 
 /// The other files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 9] = [
+const TEMPLATE: [&str; 10] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
     "build.rs",
+    "ci.sh",
     "examples/eds.rs",
     "memory.x",
     "src/application.rs",
     "src/flash.rs",
     "tests/board.rs",
 ];
+
+/// The file of a product that finds this repository from every computer.
+const OF_GIT: &str = ".github/workflows/ci.yml";
 
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
@@ -120,6 +124,9 @@ impl Product<'_> {
         for path in TEMPLATE {
             files.push((path, read(&format!("template/{path}"))?));
         }
+        if self.git.is_some() {
+            files.push((OF_GIT, read(&format!("template/{OF_GIT}"))?));
+        }
         if self.has_update {
             update::add(&mut files, read)?;
         }
@@ -129,7 +136,7 @@ impl Product<'_> {
         for (path, content) in &mut files {
             let text = mem::take(content);
             *content = match () {
-                () if COPIES.contains(path) => text,
+                () if COPIES.contains(path) || *path == OF_GIT => text,
                 () if TEMPLATE.contains(path) || *path == update::UPDATE_FILE => {
                     words.iter().fold(text, fill)
                 }
@@ -238,7 +245,7 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len(), "{tracked}");
+        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len() + 1, "{tracked}");
     }
 
     #[test]
@@ -281,6 +288,11 @@ mod tests {
 
         let url = "https://example.org/lss-slave.git";
         let files_of_url = files(Part::Stm32f446, 1, Some(url), Path::new("/products/door-lock"));
+        assert!(content(&files_of_url, OF_GIT).contains("run: bash ci.sh"));
+        assert!(
+            !files_beside.iter().any(|(path, _)| *path == OF_GIT),
+            "CI has no folder beside it"
+        );
         let manifest: Table = content(&files_of_url, "Cargo.toml").parse().expect("TOML");
         for table in [&manifest["dependencies"], &manifest["dev-dependencies"]] {
             for (name, dependency) in table.as_table().expect("dependencies") {
