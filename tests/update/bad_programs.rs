@@ -1,12 +1,11 @@
 //! Programs that fail: after three starts the one before is back.
 
-use canopen_stm32f4::chip::RUN;
 use emulator::{Time, chip::FLASH_BASE, image::Image};
 use testkit::product;
 
 use super::{
     power_cut::Files,
-    rig::{PART, Rig, board_with, file_of, program},
+    rig::{PART, RUN, Rig, board_with, file_of, program},
 };
 
 /// A program with this code at its first instruction.

@@ -1,23 +1,12 @@
 //! The loader answers while the flash is busy, with the slowest flash.
 
-use canopen_node::Frame;
-use emulator::{Time, can::Adapter, chip::Timing};
-use testkit::{
-    sdo::Client,
-    wire::{bit_per_s, on_the_wire},
-};
+use emulator::{Time, chip::Timing};
 
-use super::{
-    power_cut::Files,
-    rig::{RATE, Rig, board_with, file},
-};
+use super::rig::{Rig, file};
 
 /// The board with the slowest flash, in the loader.
 fn stopped() -> Rig {
-    stopped_of(Rig::new())
-}
-
-fn stopped_of(mut rig: Rig) -> Rig {
+    let mut rig = Rig::new();
     rig.0.network.permit_misuse();
     rig.0.network.board(0).chip().flash_mut().set_timing(Timing::Worst);
     assert!(rig.try_control(0).unwrap());
@@ -73,33 +62,5 @@ fn while_it_clears_lss_answers_in_25_us_and_the_heartbeat_comes_in_time() {
         assert!(period.abs_diff(PERIOD_US) < 1000, "{period} us");
     }
     assert_eq!(rig.0.network.board(0).flash_stalls(), stalls);
-    assert_eq!(rig.0.network.board(0).misuse(), None);
-}
-
-#[test]
-fn on_a_full_bus_the_loader_loses_no_frame_while_it_clears_and_takes_a_program() {
-    const FRAMES: usize = 20_000;
-    let mut rig = stopped_of(Rig::of(board_with(&Files::small().old)));
-    rig.0.send("04 01");
-    rig.0.collect(Time::from_ms(5));
-    // Inquiries have the lowest priority of all, so that they fill the bus; the loader has to answer each.
-    let other = rig.0.network.add_adapter(Adapter::new(bit_per_s(RATE)));
-    let inquiry = on_the_wire(&Frame::new(0x7E5, &[0x5E, 0, 0, 0, 0, 0, 0, 0]).unwrap());
-    let from = rig.0.network.now();
-    (0..FRAMES).for_each(|_| rig.0.network.send(other, inquiry));
-    assert!(rig.try_control(3).unwrap());
-    assert_eq!(rig.try_finish().unwrap(), 0);
-    assert_eq!(rig.client().block_download(0x1F50, 1, &Files::small().new), Ok(()));
-    let load = rig.0.bus_load(from..rig.0.network.now());
-    assert!(rig.0.network.adapter_mut(other).unsent() > 0, "more than the bus has room for");
-    while rig.0.network.adapter_mut(other).unsent() > 0 {
-        rig.0.network.run_for(Time::from_ms(10));
-    }
-    rig.0.network.run_for(Time::from_ms(5));
-    let is_answer = |frame: &emulator::can::Frame| frame.to_string().starts_with("7E4#5E05");
-    let answers = rig.0.sent_by_boards(from).filter(|sent| is_answer(&sent.frame)).count();
-    println!("{answers} answers to {FRAMES} inquiries, bus load {load} %");
-    assert_eq!(answers, FRAMES);
-    assert!(load >= 98, "{load} %");
     assert_eq!(rig.0.network.board(0).misuse(), None);
 }

@@ -19,7 +19,7 @@ use testkit::{parallel, product, random::Random};
 
 use super::{
     bad_programs::{UNDEFINED, with_first_instruction},
-    rig::{self, PART, Rig, file, file_of, program, with_version},
+    rig::{self, PART, RUN, Rig, file, file_of, program, with_version},
 };
 
 /// An operation that takes longer is an erase.
@@ -28,7 +28,7 @@ const ERASE: Time = Time::from_ms(100);
 const AROUND: u64 = 2;
 /// The length of the small programs.
 const SMALL: usize = 4096;
-const CODE: u32 = 0x0801_0200;
+const CODE: u32 = RUN + 0x200;
 
 /// What happens on a board.
 #[derive(Clone, Copy, Debug)]

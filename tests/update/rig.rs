@@ -3,7 +3,6 @@
 use std::sync::LazyLock;
 
 use canopen_node::{BitRate, Device, NodeId};
-use canopen_stm32f4::chip::RUN;
 use emulator::{
     Time,
     board::{self, Board},
@@ -24,6 +23,8 @@ use testkit::{
 pub const PART: Part = Part::Stm32f405;
 pub const CONTROLLER: u8 = 1;
 pub const NODE: u8 = 5;
+/// The address of RUN.
+pub const RUN: u32 = 0x0801_0000;
 pub const RATE: BitRate = BitRate::Kbit1000;
 
 /// The loader and the program.
@@ -44,7 +45,7 @@ pub fn program(version: &str) -> Image {
     with_version(&IMAGES[1], version)
 }
 
-/// A program with this version in place of 0.1.0.
+/// A program with this version in place of its own, which is 0.1.0.
 pub fn with_version(program: &Image, version: &str) -> Image {
     let exchange = |bytes: &[u8]| {
         let mut bytes = bytes.to_vec();
@@ -88,7 +89,7 @@ pub fn board_of(file: &[u8], stored: Stored) -> Board {
     board
 }
 
-fn stored() -> Vec<u8> {
+pub fn stored() -> Vec<u8> {
     flash_with(&[settings(NODE, RATE)])
 }
 

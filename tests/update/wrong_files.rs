@@ -1,6 +1,5 @@
 //! Files that are not for the board, or are damaged: none starts, and the status says why.
 
-use canopen_stm32f4::chip::RUN;
 use program_update::{
     Header, Release, Status, crc,
     header::{Expected, Field, HEADER_LEN, check_file},
@@ -9,7 +8,7 @@ use testkit::{random::Random, sdo::Client};
 
 use super::{
     power_cut::Files,
-    rig::{CONTROLLER, PART, Rig, board_with, file},
+    rig::{CONTROLLER, PART, RUN, Rig, board_with, file},
 };
 
 const NOT_STORED: u32 = 0x0800_0020;
