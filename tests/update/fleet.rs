@@ -129,7 +129,7 @@ fn update(program: &Image, count: u8, rate: BitRate, others: u64) -> [Time; 2] {
     let [.., before, last, end] = times[..] else { panic!("two boards") };
     let all = end + (last - before) * (127 - u64::from(count));
     let (kb, kbit) = (file.len() as f64 / 1024.0, rate.kbit_per_s());
-    let heartbeats = if others > 0 { ", heartbeats of all" } else { "" };
+    let heartbeats = if others > 0 { ", heartbeats" } else { "" };
     let what =
         format!("127 boards, {count} of them emulated: {kb:.1} KB, {kbit} kbit/s{heartbeats}");
     println!("{what:68} {:8.1} s", all.as_ps() as f64 / 1e12);

@@ -126,20 +126,22 @@ fn mutated(good: &[u8], random: &mut Random) -> Vec<u8> {
     match random.within(0..10) {
         0 => file.truncate(random.within(1..good.len() as u64) as usize),
         1 => file.extend((0..=random.within(0..600)).map(|at| at as u8)),
+        // A field that the device must know, and the CRC of the header is right.
+        2..=4 => {
+            let fields = [8..24, 32..60].into_iter().flatten().collect::<Vec<usize>>();
+            file[random.pick(&fields)] ^= 1 << random.within(0..8);
+            seal(&mut file);
+        }
         kind => {
             for _ in 0..=random.within(0..3) {
                 let at = loop {
-                    let end = if kind < 6 { HEADER_LEN } else { good.len() } as u64;
+                    let end = if kind < 7 { HEADER_LEN } else { good.len() } as u64;
                     let at = random.within(0..end) as usize;
                     if !(Field::Signature as usize..Field::Rest as usize).contains(&at) {
                         break at;
                     }
                 };
-                file[at] ^= (random.byte() | 1).rotate_left(random.byte().into());
-            }
-            // Then it is up to the fields, if the device must know them.
-            if kind == 2 && file[..20] != good[..20] && file[..8] == good[..8] {
-                seal(&mut file);
+                file[at] ^= 1 << random.within(0..8);
             }
         }
     }
