@@ -150,7 +150,11 @@ impl Session {
             .filter(|at| near.iter().any(|near| near.abs_diff(*at) <= AROUND))
             .map(|at| at - from)
             .collect();
-        Recorded { before, operations: flash.done()[from as usize..].to_vec(), decisive }
+        let operations = flash.done()[from as usize..].to_vec();
+        let mut repeated = before.clone();
+        operations.iter().for_each(|done| repeated.repeat(done));
+        assert!(repeated.bytes() == flash.bytes(), "the operations are all that has happened");
+        Recorded { before, operations, decisive }
     }
 }
 
