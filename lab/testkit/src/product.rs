@@ -61,23 +61,43 @@ pub fn build_changed(
     }
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target")).stderr(Stdio::piped());
+        in_our_target(command);
+        command.stderr(Stdio::piped());
     })
 }
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
-pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
+/// `change` gets the path and the content of each of its files.
+pub fn build_with_update(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<[Image; 2]> {
+    let program = build_program(name, chip, controller, change)?;
+    let folder = workspace().join("target/products").join(name);
+    let loader = image::build_loader(&folder, name, chip, in_our_target)?;
+    Ok([Image::from_elf(&loader)?, program])
+}
+
+/// The program of such a product alone: another one for boards with the loader of a product.
+pub fn build_program(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<Image> {
     let folder = workspace().join("target/products").join(name);
     let product = Product { name, chip, controller, git: None, folder: &folder, has_update: true };
-    product.write()?;
-    let change = |command: &mut Command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target"));
-    };
-    let loader = image::build_loader(&folder, name, chip, change)?;
-    let program = image::build_with(&folder, name, chip, change)?;
-    Ok([Image::from_elf(&loader)?, Image::from_elf(&program)?])
+    let files = product.files()?.into_iter().map(|(path, content)| (path, change(path, content)));
+    product.write_files(&files.collect::<Vec<_>>())?;
+    let program = image::build_with(&folder, name, chip, in_our_target)?;
+    Ok(Image::from_elf(&program)?)
+}
+
+/// The HAL is built there already.
+fn in_our_target(command: &mut Command) {
+    command.arg("--target-dir").arg(workspace().join("target"));
 }
 
 /// A product to be made.
