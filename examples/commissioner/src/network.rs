@@ -215,10 +215,14 @@ impl<R: Mutex<T = Runner>> Commissioner<R> {
         self.network.heeds_rivals = false;
         let here = self.network.bit_rate();
         let from = if here == to { self.network.commanded_bit_rate() } else { here };
-        // The same rate again is an order to look for boards that have not stored it.
-        let rates = if from == to { BitRate::ALL.as_slice() } else { &[from, to] };
+        let rates: &[BitRate] = match (from == to, self.is_order_stored) {
+            // The same rate again is an order to look everywhere for those that are missing.
+            (true, false) => &BitRate::ALL,
+            (false, true) => &[from, to],
+            _ => &[],
+        };
         for other in rates.iter().filter(|rate| **rate != here) {
-            if missing != 0 && (self.is_order_stored || from == to) {
+            if missing != 0 {
                 self.fetch(missing, *other, here)?;
                 missing = self.ask(missing)?;
             }

@@ -160,6 +160,33 @@ fn a_board_without_power_beside_the_commissioner_stays_with_the_others() {
 }
 
 #[test]
+fn boards_without_power_while_they_store_come_with_the_same_order_again() {
+    let boards = (1..=2).map(|number| (plain_board(number), Habits::default()));
+    let mut rig = Rig::at(BitRate::Kbit125, boards);
+    rig.settle();
+    rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
+    rig.restart();
+    rig.order(250);
+    rig.run_until_request(0x17);
+    rig.network.power_off(0);
+    (0..2).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOff));
+    rig.run_for(Time::from_ms(100));
+    // It may have power before its boards, and disturbs nobody at another rate.
+    rig.network.power_on(0);
+    rig.run_for(Time::from_ms(50));
+    for _ in 0..100 {
+        assert_eq!(rig.rate(), BitRate::Kbit250);
+        rig.run_for(Time::from_ms(50));
+    }
+    assert_eq!(rig.settle(), State::NotStored);
+    (0..2).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOn));
+    assert_eq!(rates(&rig), [BitRate::Kbit125], "they have not stored it");
+    assert_eq!(rig.switch(250), State::Complete);
+    assert_eq!(rig.restart_all(), State::Complete);
+    assert_eq!(rates(&rig), [BitRate::Kbit250]);
+}
+
+#[test]
 fn the_commissioner_is_silent_in_both_delays_of_a_switch() {
     let mut rig = Rig::new([new_board(address(1, 1), BitRate::Kbit125)]);
     rig.settle();
