@@ -104,7 +104,9 @@ fn tests(root: &Path) -> io::Result<String> {
             }
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             let sentence = sentence(&source);
-            let about = sentence.split_once(": ").map_or(&sentence[..], |(about, _)| about);
+            // The source of a rule stands in the file.
+            let about = sentence.split_once(" (").map_or(&sentence[..], |(about, _)| about);
+            let about = about.split_once(": ").map_or(about, |(about, _)| about);
             text += &wrapped(&format!("- `{name}`: {about}"));
         }
     }
