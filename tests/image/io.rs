@@ -17,7 +17,7 @@ use crate::{
 /// The limit for a TPDO after the change of its value, or after its SYNC, in core cycles: 20 us.
 const TPDO_CYCLES: u64 = 20 * CORE_MHZ;
 /// The limit for the work of a SYNC with its four TPDOs, in core cycles.
-const ROUND_CYCLES: u64 = 5_000;
+const ROUND_CYCLES: u64 = 3_600;
 /// The limit for the value of an RPDO in the application, in core cycles: 10 us.
 const RPDO_CYCLES: u64 = 10 * CORE_MHZ;
 /// The limit for an LSS answer of this image, in core cycles, if no other interrupt is served before.

@@ -35,7 +35,7 @@ fn the_loader_fits_and_starts_whatever_name_chip_and_controller() {
         (LONG, Part::Stm32f446, 1),
         (SHORT, Part::Stm32f407, 2),
     ] {
-        let loader = product::build_loader(name, part, controller, None);
+        let loader = product::build_loader(name, part, controller);
         check(
             &loader.unwrap_or_else(|error| panic!("{name}: {error}")),
             part,

@@ -2,6 +2,9 @@
 
 mod bad_programs;
 mod busy;
+mod chips;
+mod faults;
+mod fleet;
 mod install;
 mod links;
 mod master;
@@ -9,4 +12,6 @@ mod power_cut;
 mod resets;
 mod rig;
 mod signed;
+mod times;
 mod trial;
+mod wrong_files;

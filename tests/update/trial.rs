@@ -16,7 +16,7 @@ use testkit::{
 
 use super::{
     bad_programs::{UNDEFINED, with_first_instruction},
-    rig::{IMAGES, NODE, PART, RATE, Rig, file, file_of, stored},
+    rig::{IMAGES, NODE, PART, RATE, Rig, file, file_of, program, stored},
 };
 
 /// The states in 2001h.
@@ -76,7 +76,7 @@ fn a_program_on_trial_that_nobody_confirms_is_reset_after_60_s() {
 
 #[test]
 fn after_five_failures_in_a_row_the_loader_stays_for_60_s() {
-    let fails = with_first_instruction(UNDEFINED);
+    let fails = with_first_instruction(&program("0.2.0"), UNDEFINED);
     let image = update::factory(&IMAGES[0], &file_of(&fails, "0.2.0"));
     let mut rig = Rig(ImageRig::new(RATE, []), Time::from_ms(500));
     rig.0.network.permit_misuse();

@@ -206,12 +206,20 @@ fn frames_go_to_a_mailbox_or_wait_for_one() {
     assert!(!can.send(&frame(0x182)));
     assert_eq!(mailbox(0).0, 0x181);
     assert!(!can.is_idle());
-    // Behind 181h, of which there are two then, and ahead of it.
+    // The second one is for any frame but another 181h.
     set(CAN1.tsr(), 0b110 << 26);
     assert!(!can.send(&frame(0x181)));
     assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0]);
+    assert!(can.send(&frame(0x183)));
+    assert_eq!([mailbox(1).0, mailbox(2).0], [0x183, 0]);
+    // The last one is for a frame ahead of both.
+    set(CAN1.tsr(), 0b100 << 26);
+    for behind in [0x181, 0x182, 0x183, 0x184] {
+        assert!(!can.send(&frame(behind)), "{behind:#x}");
+    }
+    assert_eq!(mailbox(2).0, 0);
     assert!(can.send(&frame(0x180)));
-    assert_eq!([mailbox(1).0, mailbox(2).0], [0, 0x180]);
+    assert_eq!(mailbox(2).0, 0x180);
 }
 
 #[test]

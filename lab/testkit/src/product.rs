@@ -21,17 +21,21 @@ const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
 
 /// The other files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 9] = [
+const TEMPLATE: [&str; 10] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
     "build.rs",
+    "ci.sh",
     "examples/eds.rs",
     "memory.x",
     "src/application.rs",
     "src/flash.rs",
     "tests/board.rs",
 ];
+
+/// The file of a product that finds this repository from every computer.
+const OF_GIT: &str = ".github/workflows/ci.yml";
 
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
@@ -65,14 +69,20 @@ pub fn build_changed(
     }
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target")).stderr(Stdio::piped());
+        in_our_target(command);
+        command.stderr(Stdio::piped());
     })
 }
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
-pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
-    let folder = write_with_update(name, chip, controller, None)?;
+/// `change` gets the path and the content of each of its files.
+pub fn build_with_update(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<[Image; 2]> {
+    let folder = write_with_update(name, chip, controller, false, change)?;
     Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
 }
 
@@ -83,50 +93,56 @@ pub fn build_signed(
     controller: u8,
     key: &[u8; 32],
 ) -> anyhow::Result<[Image; 2]> {
-    let folder = write_with_update(name, chip, controller, Some(key))?;
+    let folder = write_with_update(name, chip, controller, true, |path, content| match path {
+        path if path == update::KEY.1 => content.replace("[0; 32]", &format!("{key:?}")),
+        _ => content,
+    })?;
     Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
 }
 
-/// The loader of such a product alone; with a key, one that takes only signed programs.
-pub fn build_loader(
+/// The loader of such a product alone.
+pub fn build_loader(name: &str, chip: Part, controller: u8) -> anyhow::Result<Image> {
+    let unchanged = |_: &str, content| content;
+    loader_in(&write_with_update(name, chip, controller, false, unchanged)?, name, chip)
+}
+
+/// The program of such a product alone: another one for boards with the loader of a product.
+pub fn build_program(
     name: &str,
     chip: Part,
     controller: u8,
-    key: Option<&[u8; 32]>,
+    change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<Image> {
-    loader_in(&write_with_update(name, chip, controller, key)?, name, chip)
+    program_in(&write_with_update(name, chip, controller, false, change)?, name, chip)
 }
 
 fn write_with_update(
     name: &str,
     chip: Part,
     controller: u8,
-    key: Option<&[u8; 32]>,
+    is_signed: bool,
+    change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<PathBuf> {
     let folder = workspace().join("target/products").join(name);
-    let is_signed = key.is_some();
     let product =
         Product { name, chip, controller, git: None, folder: &folder, has_update: true, is_signed };
-    let mut files = product.files()?;
-    if let (Some(key), Some(file)) = (key, files.iter_mut().find(|file| file.0 == update::KEY.1)) {
-        file.1 = file.1.replace("[0; 32]", &format!("{key:?}"));
-    }
-    product.write_files(&files)?;
+    let files = product.files()?.into_iter().map(|(path, content)| (path, change(path, content)));
+    product.write_files(&files.collect::<Vec<_>>())?;
     Ok(folder)
 }
 
-/// What is built in `target`, where the HAL is built already.
-fn in_target(command: &mut Command) {
-    command.arg("--target-dir").arg(workspace().join("target"));
-}
-
 fn loader_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
-    let elf = image::build_loader(folder, name, chip, in_target)?;
+    let elf = image::build_loader(folder, name, chip, in_our_target)?;
     crate::update::in_flash(&Image::from_elf(&elf)?)
 }
 
 fn program_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
-    Ok(Image::from_elf(&image::build_with(folder, name, chip, in_target)?)?)
+    Ok(Image::from_elf(&image::build_with(folder, name, chip, in_our_target)?)?)
+}
+
+/// The HAL is built there already.
+fn in_our_target(command: &mut Command) {
+    command.arg("--target-dir").arg(workspace().join("target"));
 }
 
 /// A product to be made.
@@ -175,6 +191,9 @@ impl Product<'_> {
         for path in TEMPLATE {
             files.push((path, read(&format!("template/{path}"))?));
         }
+        if self.git.is_some() {
+            files.push((OF_GIT, read(&format!("template/{OF_GIT}"))?));
+        }
         if self.has_update {
             update::add(&mut files, self.is_signed, read)?;
         }
@@ -184,7 +203,7 @@ impl Product<'_> {
         for (path, content) in &mut files {
             let text = mem::take(content);
             *content = match () {
-                () if COPIES.contains(path) => text,
+                () if COPIES.contains(path) || *path == OF_GIT => text,
                 () if TEMPLATE.contains(path) || *path == update::UPDATE_FILE => {
                     words.iter().fold(text, fill)
                 }
@@ -300,11 +319,8 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(
-            tracked.lines().count(),
-            TEMPLATE.len() + update::FILES.len() + [update::KEY].len(),
-            "{tracked}"
-        );
+        let of_options = [OF_GIT, update::KEY.0].len() + update::FILES.len();
+        assert_eq!(tracked.lines().count(), TEMPLATE.len() + of_options, "{tracked}");
     }
 
     #[test]
@@ -348,6 +364,11 @@ mod tests {
 
         let url = "https://example.org/lss-slave.git";
         let files_of_url = files(Part::Stm32f446, 1, Some(url), Path::new("/products/door-lock"));
+        assert!(content(&files_of_url, OF_GIT).contains("run: bash ci.sh"));
+        assert!(
+            !files_beside.iter().any(|(path, _)| *path == OF_GIT),
+            "CI has no folder beside it"
+        );
         let manifest: Table = content(&files_of_url, "Cargo.toml").parse().expect("TOML");
         for table in [&manifest["dependencies"], &manifest["dev-dependencies"]] {
             for (name, dependency) in table.as_table().expect("dependencies") {

@@ -40,7 +40,7 @@ mod value;
 pub use check::{check, check_communication, check_count, check_methods, fail};
 pub use declaration::{Row, count, firsts, longest, table};
 pub use event::Event;
-pub use field::{FieldType, Plain, ValueOf, check_limits, len, read};
+pub use field::{FieldType, Plain, ValueOf, bits, check_limits, len, read};
 pub use text::{OctetString, Text};
 pub use value::{
     Domain, Integer24, Integer40, Integer48, Integer56, LongText, Unsigned24, Unsigned40,
@@ -84,6 +84,14 @@ pub trait Dictionary {
 
     /// Copies the bytes of the value of a field from `offset` to `to`; returns their number.
     fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize;
+
+    /// The value of a field that a PDO can carry: its bytes, the first as the lowest.
+    #[doc(hidden)]
+    fn bits(&self, field: u8) -> u64 {
+        let mut bytes = [0; 8];
+        self.read(field, 0, &mut bytes);
+        u64::from_le_bytes(bytes)
+    }
 
     /// The value of a field in these bytes.
     ///

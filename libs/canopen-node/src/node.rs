@@ -15,6 +15,7 @@ mod product;
 mod program;
 mod receives;
 mod settings_object;
+mod stored;
 mod verification;
 
 use lss_slave::Slave;
@@ -335,14 +336,19 @@ impl<A: Application> Node<A> {
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
+    #[inline(always)] // Most acknowledges make no difference.
     pub fn handle_bus_event(&mut self, event: BusEvent, now: Instant) {
+        let is_settled = self.slave.bit_rate().is_settled();
+        if event != BusEvent::Acknowledged || !is_settled || self.awaits_acknowledge() {
+            self.handle_other_event(event, now);
+        }
+    }
+
+    fn handle_other_event(&mut self, event: BusEvent, now: Instant) {
+        self.handle_event(event, now);
         if self.slave.bit_rate().is_settled() {
-            if event != BusEvent::Acknowledged || self.awaits_acknowledge() {
-                self.handle_event(event, now);
-            }
             return;
         }
-        self.handle_event(event, now);
         self.agenda.add(Tasks::of(&[Task::BitRate]));
         match event {
             BusEvent::ErrorCounters { .. }

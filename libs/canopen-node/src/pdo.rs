@@ -42,7 +42,7 @@ const INHIBIT_TIME: u8 = 3;
 pub(crate) struct Configuration<N: Numbers> {
     tpdos: N::Tpdos<Pdo>,
     rpdos: N::Rpdos<Pdo>,
-    sync: Sync,
+    pub sync: Sync,
 }
 
 /// The PDOs of a node. They take no code if there are none.
@@ -52,6 +52,8 @@ pub(crate) struct Pdos<N: Numbers> {
     tpdos: N::Tpdos<Transmission>,
     /// The TPDOs in use whose type is synchronous.
     synchronous: Tpdos,
+    /// Those of them that do not answer each SYNC.
+    counting: Tpdos,
     /// The other TPDOs in use.
     event_driven: Tpdos,
     /// The synchronous TPDOs that a SYNC has asked for, and the others that may have changed.
@@ -123,6 +125,7 @@ impl<N: Numbers> Pdos<N> {
             current: configuration,
             tpdos: List::UNUSED,
             synchronous: Tpdos::NONE,
+            counting: Tpdos::NONE,
             event_driven: Tpdos::NONE,
             due: Tpdos::NONE,
             rpdos: List::UNUSED,
@@ -148,7 +151,8 @@ impl<N: Numbers> Pdos<N> {
     }
 
     fn stop(&mut self) {
-        (self.synchronous, self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE, Tpdos::NONE);
+        (self.synchronous, self.counting) = (Tpdos::NONE, Tpdos::NONE);
+        (self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE);
         self.tpdos.as_mut().fill(Transmission::UNUSED);
         self.rpdos.as_mut().fill(Reception::UNUSED);
         (self.window_end, self.is_window_over) = (None, false);
@@ -161,16 +165,19 @@ impl<N: Numbers> Pdos<N> {
         else {
             return;
         };
-        for set in [&mut self.synchronous, &mut self.event_driven, &mut self.due] {
-            set.remove(at);
-        }
+        let sets =
+            [&mut self.synchronous, &mut self.counting, &mut self.event_driven, &mut self.due];
+        sets.into_iter().for_each(|set| set.remove(at));
         let cob_id = pdo.cob_id.active(base(Direction::Transmit, at), node);
         let Some(cob_id) = cob_id.filter(|_| self.is_running && !pdo.mapping.is_empty()) else {
             return;
         };
-        *tpdo = tpdo.renewed(cob_id);
+        *tpdo = tpdo.renewed(cob_id, pdo);
         if pdo.transmission_type <= 240 {
             self.synchronous.add(at);
+            if pdo.transmission_type > 1 || pdo.sync_start_value > 0 {
+                self.counting.add(at);
+            }
         } else {
             self.event_driven.add(at);
             self.due.add(at);
@@ -304,7 +311,8 @@ impl<N: Numbers> Pdos<N> {
         application.handle(Event::Sync);
         self.window_end = self.current.sync.window_end(now);
         self.is_window_over = false;
-        for at in self.synchronous {
+        self.due.add_all(self.synchronous.without(self.counting));
+        for at in self.counting {
             if let (Some(tpdo), Some(pdo)) =
                 (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
                 && tpdo.handle_sync(pdo, counter)
@@ -360,7 +368,7 @@ impl<N: Numbers> Pdos<N> {
     pub fn next_frame<A: Application>(
         &mut self,
         application: &mut A,
-        may_be_timed: bool,
+        may_be_timed: impl Fn() -> bool,
         now: Instant,
     ) -> Option<(Frame, bool)> {
         self.end_window(now);
@@ -371,7 +379,7 @@ impl<N: Numbers> Pdos<N> {
                     self.due.add(at);
                 }
             }
-            timed_out = self.first_timed_out(now).filter(|_| may_be_timed).map(|(at, _)| at);
+            timed_out = self.first_timed_out(now).filter(|_| may_be_timed()).map(|(at, _)| at);
             if let Some(at) = timed_out {
                 self.due.add(at);
             }
@@ -563,7 +571,11 @@ impl Tpdos {
     }
 
     const fn remove_all(&mut self, others: Self) {
-        self.0 &= !others.0;
+        *self = self.without(others);
+    }
+
+    const fn without(self, others: Self) -> Self {
+        Self(self.0 & !others.0)
     }
 
     const fn take_first(&mut self) -> Option<usize> {

@@ -241,7 +241,9 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         if is_sent {
             self.node.handle_bus_event(BusEvent::Acknowledged, now);
         }
-        self.finish();
+        if self.node.is_due(now) || self.node.wants_to_send_more() {
+            self.finish();
+        }
     }
 
     /// Handles an error on the bus, or a change of the controller's error state.

@@ -50,6 +50,12 @@ impl Frame {
         Self { data, cob_id, len: 8 }
     }
 
+    /// A frame with the first `len` of these bytes, 0..=8. The COB-ID must be 0..=7FFh.
+    #[doc(hidden)]
+    pub const fn with_bytes(cob_id: u16, len: usize, data: [u8; 8]) -> Self {
+        Self { data, cob_id, len: len as u8 }
+    }
+
     /// A frame with one byte. The COB-ID must be 0..=7FFh.
     #[doc(hidden)]
     pub const fn with_one_byte(cob_id: u16, byte: u8) -> Self {

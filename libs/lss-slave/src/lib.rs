@@ -9,7 +9,6 @@
 //! use lss_slave::{Action, BitRate, BitRates, Frame, Instant, Settings, Slave, lss::{Address, StoreError}};
 //!
 //! const ADDRESS: Address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-//!
 //! /// The CAN driver, a timer, and a place for the settings.
 //! trait Board: Can<Frame = Frame> {
 //!     fn now(&self) -> Instant;
@@ -22,6 +21,7 @@
 //! fn run(board: &mut impl Board) {
 //!     let settings = board.load().unwrap_or(Settings::new(BitRate::Kbit125.into()));
 //!     let mut slave = Slave::new(ADDRESS, BitRates::possible(40_000_000), settings);
+//!     board.run_at(slave.bit_rate().in_use(), slave.bit_rate().is_listening());
 //!     let mut boot_up = slave.boot_up();
 //!     loop {
 //! #       if board.now().as_micros() > 100_000 { return }
@@ -43,7 +43,7 @@
 //!             };
 //!             answer.map(|frame| board.transmit(&frame));
 //!         }
-//!         boot_up.take_if(|_| slave.may_send()).map(|frame| board.transmit(&frame));
+//!         boot_up.take_if(|_| slave.may_send()).map(|frame| { slave.note_sent(now); board.transmit(&frame) });
 //!     }
 //! }
 //! #
@@ -104,6 +104,7 @@
 //! # assert_eq!(
 //! #     board.log,
 //! #     [
+//! #         "125 kbit/s, silent: false".into(),
 //! #         format!("7E4: [11, {zeros}]"),
 //! #         format!("7E4: [13, {zeros}]"),
 //! #         format!("7E4: [17, {zeros}]"),
@@ -115,7 +116,7 @@
 //! # board.log.clear();
 //! # board.micros.set(0);
 //! # run(&mut board);
-//! # assert_eq!(board.log, ["705: [00]"], "the node-ID is stored");
+//! # assert_eq!(board.log, ["500 kbit/s, silent: false", "705: [00]"], "both settings are stored");
 //! ```
 //!
 //! With [`Slave::with_rescue`] and the controller's events it also finds its network at another bit rate. A device that

@@ -90,7 +90,7 @@ impl Slave {
     }
 
     /// Handles a received frame, and returns the immediate reaction to a request of LSS, if it has one.
-    /// [`poll`](Self::poll) returns all other actions.
+    /// [`poll`](Self::poll) returns all other actions. Requests within a switch of the bit rate are ignored.
     #[inline(always)] // The one who waits for the answer holds up the whole network.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
@@ -125,6 +125,7 @@ impl Slave {
     pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16, now: Instant) -> bool {
         let begins = !self.bit_rate.is_switching() && self.lss.configure_bit_rate(rate.into());
         if begins {
+            self.bit_rate.end_search();
             self.bit_rate.switch(delay_ms, now);
         }
         begins

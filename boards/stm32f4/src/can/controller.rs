@@ -294,22 +294,27 @@ fn await_release(can: &RegisterBlock) -> rfr::R {
     status
 }
 
-/// Passes a frame to the controller if there is an empty mailbox and all others have less urgent frames; returns
-/// whether it does. Of two frames with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
+/// Passes a frame to the controller if it has two empty mailboxes, or one and only less urgent frames; returns whether it
+/// does. Of two frames with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
 fn put_beside_others(can: &RegisterBlock, frame: &Frame) -> bool {
-    let status = can.tsr().read().bits();
-    let mut empty = None;
-    for (at, mailbox) in can.tx_iter().enumerate() {
-        if status & FIRST_EMPTY << at != 0 {
-            empty = Some(mailbox);
-        } else if mailbox.tir().read().stid().bits() <= frame.cob_id() {
-            return false;
-        }
+    const NONE: u16 = u16::MAX;
+    let empty = can.tsr().read().bits() & ALL_EMPTY;
+    let pending = [0, 1, 2].map(|at| match empty & FIRST_EMPTY << at {
+        0 => can.tx(at).tir().read().stid().bits(),
+        _ => NONE,
+    });
+    let place = match pending {
+        [NONE, ..] => 0,
+        [_, NONE, _] => 1,
+        [.., NONE] => 2,
+        _ => return false,
+    };
+    let is_most_urgent = pending.iter().all(|cob_id| frame.cob_id() < *cob_id);
+    if pending.contains(&frame.cob_id()) || !is_most_urgent && empty.count_ones() < 2 {
+        return false;
     }
-    if let Some(mailbox) = empty {
-        write_mailbox(mailbox, frame);
-    }
-    empty.is_some()
+    write_mailbox(can.tx(place), frame);
+    true
 }
 
 /// Requests the transmission of a frame by an empty mailbox.

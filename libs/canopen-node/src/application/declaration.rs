@@ -290,6 +290,19 @@ macro_rules! objects {
                     0
                 }
 
+                fn bits(&self, field: u8) -> u64 {
+                    $($(if const {
+                        $crate::objects!(@options $access)
+                            $(.and($crate::objects!(@option $index $sub_index $option)))*
+                            .is_mappable()
+                    } {
+                        if let Some(at) = position::<$type>(Field::$field, field) {
+                            return application::bits::<$type>(&self.$field, at);
+                        }
+                    })+)*
+                    0
+                }
+
                 fn parse(field: u8, bytes: &[u8]) -> Result<$value, sdo::Abort> {
                     $($(if let Some(at) = position::<$type>(Field::$field, field) {
                         let value = <application::ValueOf<$type> as application::ValueType>::parse(bytes)?;

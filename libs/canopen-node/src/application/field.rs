@@ -93,6 +93,12 @@ pub fn read<T: FieldType>(field: &T::Field, at: u8, offset: usize, to: &mut [u8]
     T::get(field, at).map_or(0, |value| T::Value::read(value, offset, to))
 }
 
+/// The bytes of a number in a field, the first as the lowest.
+#[doc(hidden)]
+pub fn bits<T: FieldType>(field: &T::Field, at: u8) -> u64 {
+    T::get(field, at).map_or(0, T::Value::bits)
+}
+
 /// Compares a value with its limits.
 ///
 /// # Errors

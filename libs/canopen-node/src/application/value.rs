@@ -32,6 +32,14 @@ pub trait ValueType {
     /// Copies the bytes of the value from `offset` to `to`; returns their number.
     fn read(field: &Self::Field, offset: usize, to: &mut [u8]) -> usize;
 
+    /// The bytes of a number, the first as the lowest.
+    #[doc(hidden)]
+    fn bits(field: &Self::Field) -> u64 {
+        let mut bytes = [0; 8];
+        Self::read(field, 0, &mut bytes);
+        u64::from_le_bytes(bytes)
+    }
+
     /// The value in these bytes.
     ///
     /// # Errors
@@ -52,6 +60,14 @@ macro_rules! numbers {
 
             fn read(field: &Self, offset: usize, to: &mut [u8]) -> usize {
                 copy(&field.to_le_bytes(), offset, to)
+            }
+
+            fn bits(field: &Self) -> u64 {
+                let mut bytes = [0; 8];
+                if let Some(first) = bytes.first_chunk_mut() {
+                    *first = field.to_le_bytes();
+                }
+                u64::from_le_bytes(bytes)
             }
 
             fn parse(bytes: &[u8]) -> Result<Self, Abort> {

@@ -78,7 +78,7 @@ impl<A: Application> Node<A> {
         if product.communication.take_new_receives() {
             return Some(Action::SetReceives);
         }
-        let may_be_timed = periodic.is_free(now);
+        let may_be_timed = || periodic.is_free(now);
         let (frame, is_timed) =
             product.communication.pdos.next_frame(&mut product.application, may_be_timed, now)?;
         if is_timed {

@@ -126,8 +126,12 @@ fn find_code(
 
 /// The entry of a mapping for this object: index, sub-index and length in bits.
 fn code(entry: &Entry) -> u32 {
-    let bits = u32::from(entry.data_type.size()) * 8;
-    u32::from(entry.index) << 16 | u32::from(entry.sub_index) << 8 | bits
+    u32::from(entry.index) << 16 | u32::from(entry.sub_index) << 8 | bits(entry.data_type)
+}
+
+/// The length of a value in bits.
+fn bits(data_type: DataType) -> u32 {
+    u32::from(data_type.size()) * 8
 }
 
 /// The length of mapped values in bytes.
@@ -212,39 +216,38 @@ impl Mapping {
     }
 
     /// The length of the PDO in bytes.
-    pub fn len(&self) -> usize {
-        self.len.into()
+    pub const fn len(&self) -> usize {
+        self.len as usize
     }
 
     pub const fn is_empty(&self) -> bool {
         self.number == 0
     }
 
-    /// The bytes of the values, padded with 0.
-    pub fn read<A: Application>(&self, application: &mut A) -> [u8; 8] {
-        let mut data = [0; 8];
-        let mut rest = data.as_mut_slice();
+    /// The bytes of the values, the first as the lowest.
+    pub fn read<A: Application>(&self, application: &mut A) -> u64 {
+        let (mut data, mut at) = (0, 0_u32);
         for Entry { index, sub_index, data_type, object, .. } in self.entries() {
-            let size = data_type.size().into();
-            let Some((bytes, others)) = rest.split_at_mut_checked(size) else { break };
             if let Object::Application(field) = *object {
                 application.before_read(*index, *sub_index);
-                application.read(field, 0, bytes);
+                data |= application.bits(field).wrapping_shl(at);
             }
-            rest = others;
+            at = at.wrapping_add(bits(*data_type));
         }
         data
     }
 
-    /// Whether a value differs that is not quiet.
-    pub fn has_changed(&self, data: &[u8; 8], sent: &[u8; 8]) -> bool {
-        let mut bytes = data.iter().zip(sent);
-        data != sent
-            && self.entries().any(|entry| {
-                let of_value = bytes.by_ref().take(entry.data_type.size().into());
-                let is_new = of_value.fold(false, |is_new, (now, before)| is_new | (now != before));
-                is_new && !entry.options.is_quiet()
-            })
+    /// The bits of the values that are not quiet.
+    pub fn heeded(&self) -> u64 {
+        let (mut heeded, mut at) = (0, 0_u32);
+        for Entry { data_type, options, .. } in self.entries() {
+            let bits = bits(*data_type);
+            if !options.is_quiet() {
+                heeded |= u64::MAX.unbounded_shr(64_u32.wrapping_sub(bits)).wrapping_shl(at);
+            }
+            at = at.wrapping_add(bits);
+        }
+        heeded
     }
 
     /// Gives the values in `data` to the application; a value that it refuses is ignored.

@@ -9,6 +9,8 @@ pub(super) struct Transmission {
     cob_id: u16,
     /// The data last sent.
     sent: [u8; 8],
+    /// The bits of the data whose change sends it.
+    heeded: [u8; 8],
     /// It is sent at the next opportunity even if the data has not changed.
     is_due: bool,
     /// The number of SYNCs since it was last sent; `None` before the SYNC with the start value.
@@ -24,6 +26,7 @@ impl Transmission {
     pub const UNUSED: Self = Self {
         cob_id: 0,
         sent: [0; 8],
+        heeded: [0; 8],
         is_due: true,
         syncs: None,
         inhibited_until: None,
@@ -31,18 +34,19 @@ impl Transmission {
     };
 
     /// A TPDO that is due, as in a node that enters NMT operational.
-    pub const fn new(cob_id: u16) -> Self {
-        Self { cob_id, ..Self::UNUSED }
+    const fn new(cob_id: u16, heeded: [u8; 8]) -> Self {
+        Self { cob_id, heeded, ..Self::UNUSED }
     }
 
     /// The same with other parameters. The inhibit time goes on.
-    pub const fn renewed(&self, cob_id: u16) -> Self {
-        Self { inhibited_until: self.inhibited_until, ..Self::new(cob_id) }
+    pub fn renewed(&self, cob_id: u16, pdo: &Pdo) -> Self {
+        let inhibited_until = self.inhibited_until;
+        Self { inhibited_until, ..Self::new(cob_id, pdo.mapping.heeded().to_le_bytes()) }
     }
 
     /// Makes it due.
     pub fn restart(&mut self) {
-        *self = Self::new(self.cob_id);
+        *self = Self::new(self.cob_id, self.heeded);
     }
 
     /// Makes it due without a change.
@@ -68,13 +72,6 @@ impl Transmission {
         is_asked_for
     }
 
-    /// The frame that a SYNC has asked for. Type 0 has none without a change.
-    pub fn answer_sync<A: Application>(&mut self, pdo: &Pdo, application: &mut A) -> Option<Frame> {
-        let data = pdo.mapping.read(application);
-        let is_sent = pdo.transmission_type != 0 || self.has_changed(pdo, &data);
-        is_sent.then(|| self.send(pdo, data)).flatten()
-    }
-
     /// Ends the inhibit time if it is over; returns whether it is.
     pub fn ends_inhibit_time(&mut self, now: Instant) -> bool {
         self.inhibited_until.take_if(|until| until.has_come(now)).is_some()
@@ -84,6 +81,13 @@ impl Transmission {
     pub fn is_timed_out(&self, pdo: &Pdo, now: Instant) -> Option<Instant> {
         let is_over = |end: &Instant| !end.is_ahead(now, pdo.event_timer_micros());
         self.event_at.filter(is_over).filter(|_| self.inhibited_until.is_none())
+    }
+
+    /// The frame that a SYNC has asked for. Type 0 has none without a change.
+    pub fn answer_sync<A: Application>(&mut self, pdo: &Pdo, application: &mut A) -> Option<Frame> {
+        let data = pdo.mapping.read(application);
+        let is_sent = pdo.transmission_type != 0 || self.has_changed(data);
+        is_sent.then(|| self.send(pdo, data))
     }
 
     /// The frame of an event-driven TPDO that has changed or whose event timer `is_timed_out`; whether only the latter.
@@ -98,24 +102,24 @@ impl Transmission {
             return None;
         }
         let data = pdo.mapping.read(application);
-        let has_changed = self.has_changed(pdo, &data);
+        let has_changed = self.has_changed(data);
         if !has_changed && !is_timed_out {
             return None;
         }
         let after = |micros: u32| (micros > 0).then(|| now.plus_micros(micros));
         self.inhibited_until = after(u32::from(pdo.inhibit_time) * 100);
         self.event_at = after(pdo.event_timer_micros());
-        Some((self.send(pdo, data)?, !has_changed))
+        Some((self.send(pdo, data), !has_changed))
     }
 
-    fn has_changed(&self, pdo: &Pdo, data: &[u8; 8]) -> bool {
-        self.is_due || pdo.mapping.has_changed(data, &self.sent)
+    const fn has_changed(&self, data: u64) -> bool {
+        let [sent, heeded] = [u64::from_le_bytes(self.sent), u64::from_le_bytes(self.heeded)];
+        self.is_due || (data ^ sent) & heeded != 0
     }
 
-    fn send(&mut self, pdo: &Pdo, data: [u8; 8]) -> Option<Frame> {
-        self.sent = data;
-        self.is_due = false;
-        Frame::from_padded(self.cob_id, pdo.mapping.len(), data)
+    const fn send(&mut self, pdo: &Pdo, data: u64) -> Frame {
+        (self.sent, self.is_due) = (data.to_le_bytes(), false);
+        Frame::with_bytes(self.cob_id, pdo.mapping.len(), self.sent)
     }
 
     /// The end of the inhibit time.

@@ -1,6 +1,6 @@
-//! The frames that wait for the controller: the most urgent first, those of one COB-ID in the order of arrival.
+//! The frames that wait for the controller. The most urgent one leaves first, those of one COB-ID in the order of arrival.
 
-use core::mem;
+use core::cell::Cell;
 
 use crate::{Frame, nmt};
 
@@ -11,7 +11,7 @@ const CAPACITY: usize = 16;
 /// The pending frames.
 #[derive(Debug)]
 pub struct TransmitQueue {
-    /// The pending frames in their order, then unused places.
+    /// The pending frames, the next to leave last, then unused places.
     frames: [Frame; CAPACITY],
     /// The number of pending frames.
     len: usize,
@@ -48,9 +48,9 @@ impl TransmitQueue {
         self.len = kept;
     }
 
-    /// Whether all waiting frames are less urgent than `frame`.
+    /// Whether frames wait, all of them less urgent than `frame`.
     pub fn is_behind(&mut self, frame: &Frame) -> bool {
-        self.pending().first().is_none_or(|first| frame.cob_id() < first.cob_id())
+        self.pending().last().is_some_and(|next| frame.cob_id() < next.cob_id())
     }
 
     /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, and a PDO
@@ -58,8 +58,8 @@ impl TransmitQueue {
     pub fn push(&mut self, frame: Frame) -> bool {
         let cob_id = frame.cob_id();
         let pending = self.pending();
-        let at = pending.iter().take_while(|before| before.cob_id() <= cob_id).count();
-        if let Some(before) = pending.get_mut(at.wrapping_sub(1))
+        let at = pending.iter().take_while(|behind| behind.cob_id() > cob_id).count();
+        if let Some(before) = pending.get_mut(at)
             && before.cob_id() == cob_id
             && is_process_data(cob_id)
         {
@@ -69,21 +69,21 @@ impl TransmitQueue {
         if cob_id & !0x7F == nmt::ERROR_CONTROL_COB_ID && pending.contains(&frame) {
             return true;
         }
-        let Some(behind) = self.frames.get_mut(at..=self.len) else {
+        let Some(places) = self.frames.get_mut(at..=self.len) else {
             return false;
         };
-        behind.iter_mut().fold(frame, |frame, place| mem::replace(place, frame));
+        let places = Cell::from_mut(places).as_slice_of_cells();
+        for (to, from) in places.iter().skip(1).zip(places).rev() {
+            to.set(from.get());
+        }
+        places.iter().take(1).for_each(|place| place.set(frame));
         self.len = self.len.wrapping_add(1);
         true
     }
 
     /// Removes the most urgent frame if `send` accepts it.
     pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) {
-        let pending = self.pending();
-        if let Some(first) = pending.first().copied()
-            && send(&first)
-        {
-            pending.iter_mut().rev().fold(first, |frame, place| mem::replace(place, frame));
+        if self.pending().last().is_some_and(send) {
             self.len = self.len.wrapping_sub(1);
         }
     }

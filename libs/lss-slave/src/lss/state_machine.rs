@@ -43,8 +43,8 @@ pub struct StateMachine {
     state: State,
     /// The LSS state stays waiting.
     is_locked: bool,
-    /// The part that the next request of 40..43 must name.
-    select: AddressPart,
+    /// The part that the next request of 40..43 must name. `None` in LSS configuration state.
+    select: Option<AddressPart>,
     /// The key that the next request of 46..4B must name.
     identify: IdentifyKey,
     /// LSSPos, the part that the next Fastscan step must name. `None` while the slave takes no part in Fastscan, as in
@@ -74,7 +74,7 @@ impl StateMachine {
             bit_rates,
             state: State::Waiting,
             is_locked: false,
-            select: AddressPart::VendorId,
+            select: None,
             identify: IdentifyKey::VendorId,
             fastscan: None,
             pending_node_id: node_id,
@@ -176,7 +176,7 @@ impl StateMachine {
     /// Executes a request in the data of a frame from the LSS master, if the LSS state allows it.
     #[must_use = "a reaction that is not carried out is lost"]
     pub fn handle(&mut self, data: &[u8; 8]) -> Option<Reaction> {
-        use State::{Configuration, Waiting};
+        use State::Configuration;
         let answer = match (Request::from_bytes(data)?, self.state) {
             (Request::SwitchToWaiting, _) => return self.switch_to_waiting(),
             (Request::SwitchToConfiguration, _) if !self.is_locked => {
@@ -185,7 +185,7 @@ impl StateMachine {
             }
             (Request::Identify(key, number), _) => self.identify(key, number)?,
             (Request::IdentifyNonConfigured, _) if self.is_unconfigured() => NonConfigured,
-            (Request::Select(part, number), Waiting) => self.select(part, number)?,
+            (Request::Select(part, number), _) => self.select(part, number)?,
             (Request::Fastscan(step), _) => self.fastscan(step)?,
             (Request::ConfigureNodeId(byte), Configuration) => {
                 let id = NodeId::from_lss(byte);
@@ -219,7 +219,10 @@ impl StateMachine {
     /// Enters an LSS state. Every switch discards all progress, even one to the current state.
     const fn switch_to(&mut self, state: State) {
         self.state = state;
-        self.select = AddressPart::VendorId;
+        self.select = match state {
+            State::Waiting => Some(AddressPart::VendorId),
+            State::Configuration => None,
+        };
         self.identify = IdentifyKey::VendorId;
         self.fastscan = match state {
             State::Waiting if self.is_unconfigured() => Some(AddressPart::VendorId),
@@ -238,16 +241,17 @@ impl StateMachine {
     /// Enters LSS configuration state after a match, without affecting the progress of other services.
     const fn enter_configuration(&mut self) {
         self.state = State::Configuration;
-        self.fastscan = None;
+        (self.select, self.fastscan) = (None, None);
     }
 
     fn select(&mut self, part: AddressPart, number: u32) -> Option<Response> {
-        let in_order = part == AddressPart::VendorId || part == self.select;
+        let awaited = self.select?;
+        let in_order = part == AddressPart::VendorId || part == awaited;
         if !in_order || number != self.address_part(part) {
-            self.select = AddressPart::VendorId;
+            self.select = Some(AddressPart::VendorId);
             return None;
         }
-        self.select = part.next();
+        self.select = Some(part.next());
         if part != AddressPart::SerialNumber || self.is_locked {
             return None;
         }
