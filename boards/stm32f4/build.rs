@@ -25,11 +25,19 @@ fn main() {
         return;
     };
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    let is_signed = cfg!(feature = "signed");
+    let run = chip.run(is_signed);
+    if run.sectors == 0 {
+        println!("cargo::error=the flash of {} has no room for signed programs", chip.feature);
+        return;
+    }
     let sizes = format!(
-        "FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\nRUN_SIZE = {}K;\n",
+        "FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\nRUN = {};\nRUN_SIZE = {}K;\nLOADER_SIZE = {}K;\n",
         chip.flash_kb,
         chip.ram_kb,
-        chip.run_kb()
+        run.address,
+        run.kb,
+        if is_signed { 64 } else { 32 },
     );
     fs::write(out.join("chip.x"), sizes).expect("OUT_DIR is writable");
     // Cargo corrects this path in a copy of the folder that has its `target`, and no other.

@@ -40,7 +40,7 @@ mod app {
     fn init(cx: init::Context) -> (Shared, Local) {
         let why = loader::start_or_stay(&cx.core);
         let chip = cx.device;
-        let mut board = Board::new(
+        let mut board = Board::of_loader(
             board::Peripherals {
                 clocks: chip.RCC,
                 debug: chip.DBGMCU,

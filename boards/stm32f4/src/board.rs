@@ -46,21 +46,33 @@ pub struct Board {
 impl Board {
     /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
     pub fn new(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
+        Self::with_clocks(chip, core, crystal, |clocks| {
+            let mut config = Config::hse(Hertz::from_raw(crystal.hz))
+                .sysclk(Hertz::from_raw(SYSCLK_HZ))
+                .pclk1(Hertz::from_raw(APB1_HZ));
+            if crystal.is_external_clock {
+                config = config.bypass_hse_oscillator();
+            }
+            // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
+            // too.
+            clocks.freeze(config)
+        })
+    }
+
+    /// The same with this way to let the core run from the PLL.
+    pub(crate) fn with_clocks(
+        chip: Peripherals,
+        core: &cortex_m::Peripherals,
+        crystal: Crystal,
+        start_pll: impl FnOnce(RCC) -> Rcc,
+    ) -> Self {
         start::restore(core, &chip.clocks, &chip.flash);
         fault::guard_stack(&core.MPU);
         log_reset_cause(&chip.clocks);
         let watchdog = Watchdog::start(chip.watchdog, chip.debug);
         let supply = Supply::wait(chip.power);
         crystal::start(crystal, &chip.clocks);
-        let mut clocks = Config::hse(Hertz::from_raw(crystal.hz))
-            .sysclk(Hertz::from_raw(SYSCLK_HZ))
-            .pclk1(Hertz::from_raw(APB1_HZ));
-        if crystal.is_external_clock {
-            clocks = clocks.bypass_hse_oscillator();
-        }
-        // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
-        // too.
-        let mut rcc = chip.clocks.freeze(clocks);
+        let mut rcc = start_pll(chip.clocks);
         crystal::check(crystal, &rcc);
         let alarm = Alarm::new(chip.timer, &mut rcc);
         let flash = SettingsFlash::new(chip.flash, supply);

@@ -27,8 +27,20 @@ pub struct Chip {
     pub is_selected: bool,
 }
 
-/// The address of RUN, where a program that can be replaced over the bus begins with its header: that of sector 4.
-pub const RUN: u32 = 0x0801_0000;
+/// The place of a program that can be replaced over the bus, which begins with its header. As many sectors after those are
+/// BACKUP, which has a copy of the program before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// Its first sector.
+    pub first_sector: u32,
+    /// The number of its sectors.
+    pub sectors: u32,
+    /// Its address.
+    pub address: u32,
+    /// Its size in KB.
+    pub kb: u32,
+}
+
 /// KB of each sector from 5 on, and of sector 4.
 const LARGE_KB: u32 = 128;
 const SECTOR_4_KB: u32 = 64;
@@ -39,15 +51,17 @@ impl Chip {
         CHIPS.into_iter().find(|chip| chip.feature == feature)
     }
 
-    /// The number of sectors of RUN, the place of a program that can be replaced over the bus: sector 4 and those after
-    /// it. As many sectors after those are BACKUP, which has a copy of the program before.
-    pub const fn run_sectors(&self) -> u32 {
-        self.flash_kb / LARGE_KB / 2
-    }
-
-    /// KB of RUN.
-    pub const fn run_kb(&self) -> u32 {
-        (self.run_sectors() - 1) * LARGE_KB + SECTOR_4_KB
+    /// RUN: sector 4 and those after it; behind a loader that takes only signed programs, and sector 4 for that, from sector
+    /// 5 on. A chip with 256 KB has no room for that: 0 sectors.
+    pub const fn run(&self, is_signed: bool) -> Run {
+        let large = self.flash_kb / LARGE_KB - 1;
+        if is_signed {
+            let sectors = large / 2;
+            return Run { first_sector: 5, sectors, address: 0x0802_0000, kb: sectors * LARGE_KB };
+        }
+        let sectors = large.div_ceil(2);
+        let kb = (sectors - 1) * LARGE_KB + SECTOR_4_KB;
+        Run { first_sector: 4, sectors, address: 0x0801_0000, kb }
     }
 }
 
@@ -111,6 +125,9 @@ pub fn controller(name: &str) -> Result<u8, &'static str> {
         _ => Err("choose can1, can2 or can3"),
     }
 }
+
+/// RUN of this build.
+pub const RUN: Run = CHIP.run(cfg!(feature = "signed"));
 
 /// The address of the 96-bit unique id (RM0090, 39.1; RM0386, 38.1; RM0390 Rev 4, 34.1; RM0402, 31.1; of RM0430 the
 /// chapter was not available: there `UID_BASE` in ST's header).

@@ -6,7 +6,7 @@ use canopen_node::{
     runner::{self, System},
     settings::Log,
 };
-use cortex_m::peripheral::{NVIC, SCB};
+use cortex_m::peripheral::NVIC;
 use rtic_core::Mutex;
 
 use crate::{
@@ -28,8 +28,9 @@ impl System for Alarm {
 
     fn reset(&mut self) {
         #[cfg(feature = "update")]
-        crate::update::note_reset();
-        SCB::sys_reset();
+        crate::update::reset();
+        #[cfg(not(feature = "update"))]
+        cortex_m::peripheral::SCB::sys_reset();
     }
 
     fn set_alarm(&mut self, at: Instant) {

@@ -5,6 +5,8 @@ mod areas;
 #[cfg(target_os = "none")]
 mod boot;
 #[cfg(target_os = "none")]
+mod clocks;
+#[cfg(target_os = "none")]
 pub mod loader;
 #[cfg(target_os = "none")]
 mod mailbox;
@@ -13,7 +15,7 @@ mod objects;
 mod program;
 
 #[cfg(target_os = "none")]
-pub(crate) use mailbox::{note_reset, take_in_force};
+pub(crate) use mailbox::{reset, take_in_force};
 pub use objects::Update;
 #[cfg(target_os = "none")]
 pub use program::Steps;

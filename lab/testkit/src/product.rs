@@ -52,7 +52,15 @@ pub fn build_changed(
     changes: &[(&str, &str, &str)],
 ) -> anyhow::Result<Vec<u8>> {
     let folder = workspace().join("target/products").join(name);
-    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: false };
+    let product = Product {
+        name,
+        chip,
+        controller,
+        git: None,
+        folder: &folder,
+        has_update: false,
+        is_signed: false,
+    };
     let mut files = product.files()?;
     for (path, from, to) in changes {
         let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
@@ -74,10 +82,28 @@ pub fn build_with_update(
     controller: u8,
     change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<[Image; 2]> {
-    let program = build_program(name, chip, controller, change)?;
-    let folder = workspace().join("target/products").join(name);
-    let loader = image::build_loader(&folder, name, chip, in_our_target)?;
-    Ok([Image::from_elf(&loader)?, program])
+    let folder = write_with_update(name, chip, controller, false, change)?;
+    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
+}
+
+/// The same for a product whose loader takes only programs that the owner of this key has signed.
+pub fn build_signed(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    key: &[u8; 32],
+) -> anyhow::Result<[Image; 2]> {
+    let folder = write_with_update(name, chip, controller, true, |path, content| match path {
+        path if path == update::KEY.1 => content.replace("[0; 32]", &format!("{key:?}")),
+        _ => content,
+    })?;
+    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
+}
+
+/// The loader of such a product alone.
+pub fn build_loader(name: &str, chip: Part, controller: u8) -> anyhow::Result<Image> {
+    let unchanged = |_: &str, content| content;
+    loader_in(&write_with_update(name, chip, controller, false, unchanged)?, name, chip)
 }
 
 /// The program of such a product alone: another one for boards with the loader of a product.
@@ -87,12 +113,31 @@ pub fn build_program(
     controller: u8,
     change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<Image> {
+    program_in(&write_with_update(name, chip, controller, false, change)?, name, chip)
+}
+
+fn write_with_update(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    is_signed: bool,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<PathBuf> {
     let folder = workspace().join("target/products").join(name);
-    let product = Product { name, chip, controller, git: None, folder: &folder, has_update: true };
+    let product =
+        Product { name, chip, controller, git: None, folder: &folder, has_update: true, is_signed };
     let files = product.files()?.into_iter().map(|(path, content)| (path, change(path, content)));
     product.write_files(&files.collect::<Vec<_>>())?;
-    let program = image::build_with(&folder, name, chip, in_our_target)?;
-    Ok(Image::from_elf(&program)?)
+    Ok(folder)
+}
+
+fn loader_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
+    let elf = image::build_loader(folder, name, chip, in_our_target)?;
+    crate::update::in_flash(&Image::from_elf(&elf)?)
+}
+
+fn program_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
+    Ok(Image::from_elf(&image::build_with(folder, name, chip, in_our_target)?)?)
 }
 
 /// The HAL is built there already.
@@ -111,6 +156,8 @@ pub struct Product<'a> {
     pub folder: &'a Path,
     /// The program can be replaced over the bus, by a loader.
     pub has_update: bool,
+    /// The loader takes only signed programs.
+    pub is_signed: bool,
 }
 
 impl Product<'_> {
@@ -148,7 +195,7 @@ impl Product<'_> {
             files.push((OF_GIT, read(&format!("template/{OF_GIT}"))?));
         }
         if self.has_update {
-            update::add(&mut files, read)?;
+            update::add(&mut files, self.is_signed, read)?;
         }
         let exchange = |text: String, (from, to): &(&str, String)| text.replace(from, to);
         let fill =
@@ -244,8 +291,15 @@ mod tests {
         git: Option<&str>,
         folder: &Path,
     ) -> Vec<(&'static str, String)> {
-        let product =
-            Product { name: "door-lock", chip, controller, git, folder, has_update: false };
+        let product = Product {
+            name: "door-lock",
+            chip,
+            controller,
+            git,
+            folder,
+            has_update: false,
+            is_signed: false,
+        };
         product.files().expect("this repository has what a product needs")
     }
 
@@ -265,7 +319,8 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len() + 1, "{tracked}");
+        let of_options = [OF_GIT, update::KEY.0].len() + update::FILES.len();
+        assert_eq!(tracked.lines().count(), TEMPLATE.len() + of_options, "{tracked}");
     }
 
     #[test]
@@ -278,6 +333,7 @@ mod tests {
             git: None,
             folder,
             has_update: false,
+            is_signed: false,
         };
         let read = |path| fs::read_to_string(workspace().join(path)).expect("a file");
         let firmware: String = OF_FIRMWARE.into_iter().map(read).collect();

@@ -1,18 +1,24 @@
 //! Update files, and the flash of boards with a loader.
 
-use std::{fs, path::Path};
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use canopen_node::Device;
-use canopen_stm32f4::chip::{Chip, RUN};
+use canopen_stm32f4::chip::{Chip, Run};
+pub use ed25519_dalek::SigningKey;
+use ed25519_dalek::{Signer, pkcs8::DecodePrivateKey};
 use emulator::{
     chip::{FLASH_BASE, Part},
     image::Image,
 };
 use program_update::{
     Header, Release, crc,
-    header::{Field, HEADER_LEN, text},
+    header::{Field, HEADER_LEN, SIGNED_LEN, text},
     journal,
+    signature::{Digest, Sha256},
 };
 
 use crate::{
@@ -31,8 +37,41 @@ pub fn file(
     part: Part,
     controller: u8,
 ) -> anyhow::Result<Vec<u8>> {
+    file_in(
+        Chip::named(part.name()).context("no chip of a product")?.run(false),
+        program,
+        device,
+        part,
+        controller,
+    )
+}
+
+/// The same for a loader that takes only signed programs.
+pub fn signed_file(
+    program: &Image,
+    device: &Device,
+    part: Part,
+    controller: u8,
+    key: &SigningKey,
+) -> anyhow::Result<Vec<u8>> {
     let chip = Chip::named(part.name()).context("no chip of a product")?;
-    let start = RUN + HEADER_LEN as u32;
+    let mut file = file_in(chip.run(true), program, device, part, controller)?;
+    let (header, program) = file.split_first_chunk_mut().context("a header")?;
+    let mut fields = Header::parse(header).ok().context("a header")?;
+    fields.sha256 = Sha256::digest(program).into();
+    fields.signature = key.sign(&fields.to_bytes()[..SIGNED_LEN]).to_bytes();
+    *header = fields.to_bytes();
+    Ok(file)
+}
+
+fn file_in(
+    run: Run,
+    program: &Image,
+    device: &Device,
+    part: Part,
+    controller: u8,
+) -> anyhow::Result<Vec<u8>> {
+    let start = run.address + HEADER_LEN as u32;
     let mut content = Vec::new();
     for (address, bytes) in program.segments() {
         let offset = address.checked_sub(start).context("the program does not begin at RUN")?;
@@ -42,9 +81,9 @@ pub fn file(
     }
     content.resize(content.len().next_multiple_of(4), ERASED);
     ensure!(
-        content.len() + HEADER_LEN <= (chip.run_kb() * 1024) as usize,
+        content.len() + HEADER_LEN <= (run.kb * 1024) as usize,
         "the program is too long for {}",
-        chip.feature
+        part.name()
     );
     let header = Header {
         length: content.len() as u32,
@@ -53,9 +92,9 @@ pub fn file(
         product_code: device.address.product_code,
         revision_number: device.address.revision_number,
         release: release(device.software_version).context("a version is three numbers")?,
-        chip: text(chip.feature),
+        chip: text(part.name()),
         hardware: crc::of(device.hardware_version.as_bytes()),
-        address: RUN,
+        address: run.address,
         controller: controller.into(),
         version: text(device.software_version),
         sha256: [ERASED; 32],
@@ -71,10 +110,23 @@ fn release(version: &str) -> Option<Release> {
     Release::new(next()?, next()?, next()?)
 }
 
+/// A loader in the flash, around the settings: the file that is linked has it in the RAM (`boards/stm32f4/loader.x`).
+pub fn in_flash(linked: &Image) -> anyhow::Result<Image> {
+    let mut segments: Vec<_> = linked.segments().collect();
+    segments.sort();
+    let [(FLASH_BASE, boot), (_, loader)] = segments[..] else { bail!("this is no loader") };
+    let in_sector_0 = SETTINGS_OFFSET as usize - boot.len();
+    let (first, rest) = loader.split_at_checked(in_sector_0).unwrap_or((loader, &[]));
+    let behind = FLASH_BASE + SETTINGS_OFFSET + SETTINGS_LENGTH as u32;
+    Ok(Image::from_segments(vec![(FLASH_BASE, [boot, first].concat()), (behind, rest.to_vec())]))
+}
+
 /// The flash of a board as it leaves production: the loader, and the program of an update file.
 pub fn factory(loader: &Image, file: &[u8]) -> Image {
     let of_loader = loader.segments().map(|(address, bytes)| (address, bytes.to_vec()));
-    Image::from_segments(of_loader.chain([(RUN, file.to_vec())]).collect())
+    let address = Field::Address as usize;
+    let run = u32::from_le_bytes(file[address..address + 4].try_into().expect("four bytes"));
+    Image::from_segments(of_loader.chain([(run, file.to_vec())]).collect())
 }
 
 /// The files with which loader and program of a product get onto boards, with their names.
@@ -84,11 +136,16 @@ pub fn files(
     device: &Device,
     part: Part,
     controller: u8,
+    key: Option<&SigningKey>,
 ) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
-    let file = file(program, device, part, controller)?;
+    let file = match key {
+        Some(key) => signed_file(program, device, part, controller, key)?,
+        None => file(program, device, part, controller)?,
+    };
     let chip = Chip::named(part.name()).context("no chip of a product")?;
     // A board that was updated before has a journal there, which says otherwise.
-    let journal = RUN + chip.run_kb() * 1024 + journal::OFFSET;
+    let run = chip.run(key.is_some());
+    let journal = run.address + run.kb * 1024 + journal::OFFSET;
     let blank = vec![ERASED; 4 * journal::WORDS as usize];
     let factory = factory(loader, &file);
     let factory: Vec<_> = factory.segments().chain([(journal, &blank[..])]).collect();
@@ -112,24 +169,61 @@ pub fn files(
     ])
 }
 
-/// Builds loader and program of the product in a folder, whose package has this name, and writes the files into another
-/// folder.
-pub fn write(
+/// `cargo update-file [--key PEM] [FOLDER]` of the product in a folder, whose package has this name: builds loader and
+/// program, and writes the files. `loader_key` is the key of a loader that takes only signed programs.
+pub fn run(
     product: &Path,
-    folder: &Path,
     name: &str,
     device: &Device,
     part: Part,
     controller: u8,
+    loader_key: Option<&[u8; 32]>,
 ) -> anyhow::Result<()> {
+    let mut arguments = env::args_os().skip(1);
+    let (mut folder, mut key) = (product.join("target/update"), None);
+    while let Some(argument) = arguments.next() {
+        if argument == "--key" {
+            key = Some(read_key(&PathBuf::from(arguments.next().context("--key PEM")?))?);
+        } else {
+            folder = argument.into();
+        }
+    }
+    check_key(key.as_ref(), loader_key)?;
     let loader = image::build_loader(product, name, part, |_| ())?;
     let program = image::build_with(product, name, part, |_| ())?;
-    let images = [Image::from_elf(&loader)?, Image::from_elf(&program)?];
-    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    for (name, content) in files(name, &images, device, part, controller)? {
+    let images = [in_flash(&Image::from_elf(&loader)?)?, Image::from_elf(&program)?];
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    for (name, content) in files(name, &images, device, part, controller, key.as_ref())? {
         let path = folder.join(name);
         fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
         println!("{}", path.display());
+    }
+    Ok(())
+}
+
+/// The private key in a file as `openssl genpkey -algorithm ed25519` writes it.
+fn read_key(path: &Path) -> anyhow::Result<SigningKey> {
+    let text =
+        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    SigningKey::from_pkcs8_pem(&text)
+        .with_context(|| format!("{} has no private key of Ed25519", path.display()))
+}
+
+/// Fails unless the loader takes what the key signs.
+fn check_key(key: Option<&SigningKey>, loader_key: Option<&[u8; 32]>) -> anyhow::Result<()> {
+    let key = key.map(|key| key.verifying_key().to_bytes());
+    match (key, loader_key) {
+        (Some(key), Some(loader_key)) => {
+            ensure!(
+                key == *loader_key,
+                "the loader has another key; for this one, src/key.rs has\n\npub const KEY: [u8; 32] = {key:?};"
+            );
+        }
+        (None, Some(_)) => bail!("the loader takes only signed programs: give `--key PEM`"),
+        (Some(_), None) => {
+            bail!("the loader checks no signature: make the product with `--signed`")
+        }
+        (None, None) => {}
     }
     Ok(())
 }

@@ -13,8 +13,19 @@ pub(crate) enum Phase {
     Ended,
 }
 
+/// Where the check of the signature is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Proof {
+    /// There is no header, or it needs none.
+    None,
+    Wanted,
+    UnderWay,
+    Given,
+}
+
 pub(crate) struct Download<const WORDS: usize> {
     pub phase: Phase,
+    pub proof: Proof,
     /// The header, once it is accepted.
     pub header: Option<Header>,
     bytes: [u8; HEADER_LEN],
@@ -33,6 +44,7 @@ impl<const WORDS: usize> Download<WORDS> {
     pub fn new() -> Self {
         Self {
             phase: Phase::None,
+            proof: Proof::None,
             header: None,
             bytes: [0; HEADER_LEN],
             received: 0,
@@ -45,7 +57,7 @@ impl<const WORDS: usize> Download<WORDS> {
     }
 
     pub fn begin(&mut self, phase: Phase) {
-        self.phase = phase;
+        (self.phase, self.proof) = (phase, Proof::None);
         self.header = None;
         (self.received, self.partial, self.taken) = (0, 0, 0);
         (self.first, self.len) = (0, 0);

@@ -125,16 +125,10 @@ pub struct Expected {
     pub allows_downgrade: bool,
 }
 
-/// The check of signatures: [`Unsigned`] has none.
+/// Whether a loader takes only signed programs.
 pub trait Verify {
-    /// Whether the signature of a header is right.
-    fn is_signed(&mut self, header: &[u8; SIGNED_LEN], signature: &[u8; 64]) -> bool;
-
-    /// Adds a part of the program to its SHA-256. It may take some 10 us.
-    fn add(&mut self, word: u32);
-
-    /// The SHA-256 of what was added since the last call; `None` if it need not be right.
-    fn sha256(&mut self) -> Option<[u8; 32]>;
+    /// With true the loader asks for [`Action::Verify`](crate::Action::Verify) and [`Action::Hash`](crate::Action::Hash).
+    const IS_SIGNED: bool;
 }
 
 /// No check of signatures: whoever can send frames can install a program.
@@ -142,15 +136,15 @@ pub trait Verify {
 pub struct Unsigned;
 
 impl Verify for Unsigned {
-    fn is_signed(&mut self, _: &[u8; SIGNED_LEN], _: &[u8; 64]) -> bool {
-        true
-    }
+    const IS_SIGNED: bool = false;
+}
 
-    fn add(&mut self, _: u32) {}
+/// Only programs with the signature of one key, whose check takes too long for [`Updater::poll`](crate::Updater::poll).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Signed;
 
-    fn sha256(&mut self) -> Option<[u8; 32]> {
-        None
-    }
+impl Verify for Signed {
+    const IS_SIGNED: bool = true;
 }
 
 /// A text in a field: the bytes of `text` as far as there is room, then zeros.

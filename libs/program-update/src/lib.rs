@@ -7,6 +7,7 @@
 //! - [`Updater`]: the loader's objects 1F50h, 1F51h, 1F56h, 1F57h and 2001h. It clears, takes a download and restores
 //!   the program before, one small step of the flash at a time.
 //! - [`program`]: the program's side of the same objects: it hands over to the loader, and confirms its trial.
+//! - `signature`, with the feature `signed`: Ed25519 and SHA-256, by which a loader takes only programs of one author.
 //! - [`Mailbox`]: 32 bytes of RAM in which loader and program leave each other what is in force.
 //!
 //! # The two areas
@@ -35,11 +36,13 @@ pub mod header;
 pub mod journal;
 mod mailbox;
 pub mod program;
+#[cfg(feature = "signed")]
+pub mod signature;
 pub mod start;
 mod updater;
 
 pub use answers::{Abort, Object, State, Status};
 pub use flash::{Area, Flash, FlashError};
-pub use header::{Expected, Header, Release, Unsigned, Verify};
+pub use header::{Expected, Header, Release, Signed, Unsigned, Verify};
 pub use mailbox::{Command, Mailbox, Started};
 pub use updater::{Action, Updater};

@@ -3,10 +3,12 @@
 mod steps;
 mod written;
 
+use core::marker::PhantomData;
+
 use crate::{
     Abort, Area, Flash, FlashError, Header, Object, State, Status, Verify,
-    download::{Download, Phase},
-    header::{Expected, Field, signed},
+    download::{Download, Phase, Proof},
+    header::{Expected, Field, HEADER_LEN},
     journal::{Journal, PAIRS, VOID, Word},
     start::{self, Next, Why, program_in},
 };
@@ -24,6 +26,14 @@ pub enum Action {
     Answer(Result<(), Abort>),
     /// Put what is in force into the mailbox, and reset.
     Reset,
+    /// Check the signature of a copy of [`header_bytes`](Updater::header_bytes), then call
+    /// [`verified`](Updater::verified).
+    Verify,
+    /// Calculate the SHA-256 of the first words in RUN behind the header, then call [`hashed`](Updater::hashed).
+    Hash {
+        /// Their number.
+        words: u32,
+    },
 }
 
 /// What the flash is doing.
@@ -58,7 +68,7 @@ enum Reset {
 /// `WORDS` is the room for data that the flash has not taken yet, in words of four bytes.
 pub struct Updater<F, V, const WORDS: usize = 4096> {
     flash: F,
-    verify: V,
+    verify: PhantomData<V>,
     expected: Expected,
     journal: Journal,
     /// The valid programs.
@@ -83,13 +93,13 @@ pub struct Updater<F, V, const WORDS: usize = 4096> {
 impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// The loader after its start, for the reason that [`decide`](crate::start::decide) gave. It reads both programs once,
     /// and waits for that. A restore begins with the first [`poll`](Self::poll).
-    pub fn new(mut flash: F, verify: V, expected: Expected, why: Why, now: u32) -> Self {
+    pub fn new(mut flash: F, _: V, expected: Expected, why: Why, now: u32) -> Self {
         let journal = Journal::open(&mut flash);
         let run = program_in(&mut flash, Area::Run);
         let backup = program_in(&mut flash, Area::Backup);
         let mut updater = Self {
             flash,
-            verify,
+            verify: PhantomData,
             expected,
             journal,
             run,
@@ -118,9 +128,16 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     }
 
     /// Does the next step, if the flash is ready for it, and says what the loader has to do. Call it as often as
-    /// possible while [`is_busy`](Self::is_busy), and at least every 10 ms otherwise. A step reads some 100 words at
+    /// possible while [`is_busy`](Self::is_busy), and at least every 10 ms otherwise. A step reads some 20 words at
     /// most, or starts one operation of the flash; it never waits for the flash.
+    ///
+    /// What [`Action::Verify`] and [`Action::Hash`] ask for may take long, while the objects answer. No other `poll` may
+    /// come before its result.
     pub fn poll(&mut self, now: u32) -> Option<Action> {
+        if V::IS_SIGNED && self.download.proof == Proof::Wanted {
+            self.download.proof = Proof::UnderWay;
+            return Some(Action::Verify);
+        }
         let outcome = self.finish_operation()?;
         if outcome.is_ok() && self.is_reset_due(now) {
             return Some(Action::Reset);
@@ -130,6 +147,35 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             Err(FlashError::Failed) => self.fail(Status::WriteFailed),
             Err(FlashError::NotAllowed) => self.fail(Status::NotAllowed),
         }
+    }
+
+    /// The header of the download, as it has come.
+    pub fn header_bytes(&self) -> &[u8; HEADER_LEN] {
+        self.download.bytes()
+    }
+
+    /// Takes the result of [`Action::Verify`], unless the download has ended since; returns what follows.
+    pub fn verified(&mut self, is_signed: bool) -> Option<Action> {
+        if self.download.proof != Proof::UnderWay {
+            return None;
+        }
+        if is_signed {
+            self.download.proof = Proof::Given;
+            return None;
+        }
+        let is_waiting = self.download.phase == Phase::Ended;
+        self.refuse(Status::Refused(Field::Signature));
+        is_waiting.then_some(Action::Answer(Err(Abort::NotStored)))
+    }
+
+    /// Takes the result of [`Action::Hash`], unless the download has ended since; returns what follows.
+    pub fn hashed(&mut self, sha256: &[u8; 32]) -> Option<Action> {
+        let header = self.download.header.filter(|_| self.step == Step::Hashing)?;
+        if header.sha256 == *sha256 {
+            self.step = Step::Seal(0);
+            return None;
+        }
+        Some(self.refuse_program(Status::Damaged(Field::Hash)))
     }
 
     /// Whether the flash is being written or erased, or is about to be: then leave it alone, and refuse LSS store
@@ -222,7 +268,11 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         }
         if self.download.phase != Phase::Receiving || offset != self.download.received() {
             let has_failed = matches!(self.status, Status::WriteFailed | Status::NotAllowed);
-            return Err(if has_failed { Abort::Hardware } else { Abort::DeviceState });
+            return Err(match () {
+                () if has_failed => Abort::Hardware,
+                () if self.is_unsigned() => Abort::NotStored,
+                () => Abort::DeviceState,
+            });
         }
         if bytes.len() > self.room() {
             self.abort();
@@ -236,6 +286,9 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 self.refuse(status);
                 Abort::NotStored
             })?);
+            if V::IS_SIGNED {
+                self.download.proof = Proof::Wanted;
+            }
             if !matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
                 self.refuse(Status::NotCleared);
                 return Err(Abort::DeviceState);
@@ -256,7 +309,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// As [`write`](Self::write); [`Abort::Hardware`] also for a wrong length.
     pub fn end(&mut self, len: u32) -> Result<(), Abort> {
         if self.download.phase != Phase::Receiving {
-            return Err(Abort::DeviceState);
+            return Err(if self.is_unsigned() { Abort::NotStored } else { Abort::DeviceState });
         }
         let is_complete = self.download.header.is_some() && len == self.download.expected_len();
         if !is_complete || len != self.download.received() {
@@ -275,7 +328,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         } else if self.download.phase != Phase::None {
             let is_used = self.cleared == Cleared::Used;
             self.refuse(if is_used { Status::NotCleared } else { Status::Ok });
-            if matches!(self.step, Step::Check { .. } | Step::Seal(_)) {
+            if matches!(self.step, Step::Check { .. } | Step::Hashing | Step::Seal(_)) {
                 self.step = Step::Idle;
             }
         }
@@ -304,9 +357,6 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         };
         let installed = installed.map(|header| header.release);
         header.check(&self.expected, installed)?;
-        if !self.verify.is_signed(signed(bytes), &header.signature) {
-            return Err(Status::Refused(Field::Signature));
-        }
         Ok(header)
     }
 
@@ -314,7 +364,18 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     fn refuse(&mut self, status: Status) {
         self.status = status;
         self.download.begin(Phase::None);
-        self.verify.sha256();
+    }
+
+    /// Ends a download whose program is not the one in the header.
+    fn refuse_program(&mut self, status: Status) -> Action {
+        self.step = Step::Idle;
+        self.refuse(status);
+        Action::Answer(Err(Abort::Hardware))
+    }
+
+    /// Whether the last download was refused for its signature, while the client went on.
+    fn is_unsigned(&self) -> bool {
+        V::IS_SIGNED && self.status == Status::Refused(Field::Signature)
     }
 
     fn is_reset_due(&self, now: u32) -> bool {

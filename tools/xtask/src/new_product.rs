@@ -41,11 +41,14 @@ pub struct Arguments {
     /// With a loader, so that the program can be replaced over the bus
     #[arg(long)]
     update: bool,
+    /// With a loader that takes only programs signed by the owner of a key
+    #[arg(long, conflicts_with = "update")]
+    signed: bool,
 }
 
 /// Makes the product, and prints what to do with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let Arguments { name, path, git, chip, controller, update } = arguments;
+    let Arguments { name, path, git, chip, controller, update, signed } = arguments;
     check_name(name)?;
     controller::check(*chip, *controller)?;
     let workspace = workspace();
@@ -65,8 +68,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         folder.display()
     );
     let git = git.as_deref();
-    let (chip, controller, has_update) = (*chip, *controller, *update);
-    Product { name, chip, controller, git, folder: &folder, has_update }
+    let (chip, controller, is_signed) = (*chip, *controller, *signed);
+    let has_update = *update || is_signed;
+    Product { name, chip, controller, git, folder: &folder, has_update, is_signed }
         .write()
         .with_context(|| format!("cannot write {}", folder.display()))?;
     // The lines of the product's names have other lengths. Without rustfmt they stay as they are.

@@ -3,19 +3,15 @@
 use program_update::{Area, Flash, FlashError, crc};
 use stm32f4xx_hal::pac::{CRC, FLASH, RCC};
 
-use crate::{
-    chip::{CHIP, RUN},
-    supply,
-};
+use crate::{chip::RUN, supply};
 
 const KB: u32 = 1024;
-const COUNT: usize = CHIP.run_sectors() as usize;
-/// The first sector of RUN, which has 64 KB. All others have 128 KB.
-const FIRST: u8 = 4;
+const COUNT: usize = RUN.sectors as usize;
 const BACKUP_SECTORS: [u32; COUNT] = [128 * KB; COUNT];
 const RUN_SECTORS: [u32; COUNT] = {
     let mut sectors = BACKUP_SECTORS;
-    sectors[0] = 64 * KB;
+    // Sector 4.
+    sectors[0] = RUN.kb * KB - (RUN.sectors - 1) * 128 * KB;
     sectors
 };
 
@@ -85,8 +81,8 @@ impl Areas {
 
     fn address(area: Area, offset: u32) -> *mut u32 {
         let base = match area {
-            Area::Run => RUN,
-            Area::Backup => RUN + CHIP.run_kb() * KB,
+            Area::Run => RUN.address,
+            Area::Backup => RUN.address + RUN.kb * KB,
         };
         (base + offset) as *mut u32
     }
@@ -113,8 +109,8 @@ impl Flash for Areas {
     }
 
     fn erase(&mut self, area: Area, sector: usize) -> Result<(), FlashError> {
-        let first = if area == Area::Run { FIRST } else { FIRST + COUNT as u8 };
-        let number = u32::from(first) + sector as u32;
+        let first = if area == Area::Run { 0 } else { RUN.sectors };
+        let number = RUN.first_sector + first + sector as u32;
         self.begin(SER | number << 3 | STRT, ERASE_LIMIT)
     }
 

@@ -17,19 +17,17 @@ use crate::{
 };
 
 /// The program's vector table, behind its header.
-const VECTORS: u32 = RUN + 0x200;
+const VECTORS: u32 = RUN.address + 0x200;
 
 // SAFETY: loader.x defines them.
 unsafe extern "C" {
-    static __boot_first: u32;
-    static __boot_first_to: u32;
-    static __boot_first_end: u32;
-    static __boot_more: u32;
-    static __boot_more_to: u32;
-    static __boot_more_end: u32;
+    static __boot_end: u32;
+    static __loader: u32;
+    static __loader_sector3: u32;
+    static __loader_end: u32;
 }
 
-/// Copies the loader to the RAM and starts it there: 1 ms.
+/// Copies the loader from sectors 0 and 3 to the RAM and starts it there: 1 ms.
 // SAFETY: the entry after a reset; it uses no stack.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
@@ -37,16 +35,15 @@ unsafe extern "C" {
 unsafe extern "C" fn Boot() -> ! {
     naked_asm!(
         "cpsid i",
-        "ldr r0, ={first}",
-        "ldr r1, ={first_to}",
-        "ldr r2, ={first_end}",
+        "ldr r0, ={boot_end}",
+        "ldr r1, ={loader}",
+        "ldr r2, ={loader_sector3}",
         "0: ldmia r0!, {{r3-r10}}",
         "stmia r1!, {{r3-r10}}",
         "cmp r1, r2",
         "blo 0b",
-        "ldr r0, ={more}",
-        "ldr r1, ={more_to}",
-        "ldr r2, ={more_end}",
+        "ldr r0, ={sector3}",
+        "ldr r2, ={loader_end}",
         "0: ldmia r0!, {{r3-r10}}",
         "stmia r1!, {{r3-r10}}",
         "cmp r1, r2",
@@ -56,12 +53,11 @@ unsafe extern "C" fn Boot() -> ! {
         "isb",
         "bx r0",
         ".ltorg",
-        first = sym __boot_first,
-        first_to = sym __boot_first_to,
-        first_end = sym __boot_first_end,
-        more = sym __boot_more,
-        more_to = sym __boot_more_to,
-        more_end = sym __boot_more_end,
+        boot_end = sym __boot_end,
+        loader = sym __loader,
+        loader_sector3 = sym __loader_sector3,
+        sector3 = const 0x0800_C000,
+        loader_end = sym __loader_end,
     )
 }
 

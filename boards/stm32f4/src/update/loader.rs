@@ -15,21 +15,28 @@ use cortex_m::{
     asm,
     peripheral::{NVIC, SCB},
 };
-use program_update::{Action, Command, Expected, Unsigned, Updater, crc, header, start::Why};
+#[cfg(not(feature = "signed"))]
+use program_update::Unsigned as Checked;
+#[cfg(feature = "signed")]
+use program_update::signature::{self, Digest, PublicKey, Sha256};
+use program_update::{Action, Command, Expected, Updater, crc, header, start::Why};
+#[cfg(feature = "signed")]
+use program_update::{Area, Flash, Signed as Checked, header::HEADER_LEN};
 use rtic_core::Mutex;
 use stm32f4xx_hal::pac::FLASH;
 
 pub use super::boot::start_or_stay;
 use super::{
     areas::Areas,
-    mailbox,
+    clocks, mailbox,
     objects::{code, object},
 };
 use crate::{
-    board::Board,
+    board::{Board, Peripherals},
     can::{CanPins, Controller, Peripheral},
     chip::{CHIP, RUN},
     clock,
+    crystal::Crystal,
     watchdog::{Task, Watchdog},
 };
 
@@ -42,7 +49,7 @@ const BLOCK_SIZE: u8 = 127;
 /// clients wait for 100 ms.
 const HOLD_MICROS: u32 = 30_000;
 
-type State = Updater<Areas, Unsigned, RING>;
+type State = Updater<Areas, Checked, RING>;
 
 /// The place of the loader's state.
 pub type Place = MaybeUninit<State>;
@@ -172,9 +179,16 @@ impl Loader {
 /// What the idle task does.
 pub struct Work {
     has_reported: bool,
+    #[cfg(feature = "signed")]
+    key: &'static PublicKey,
 }
 
 impl Board {
+    /// As [`new`](Self::new), for the loader.
+    pub fn of_loader(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
+        Self::with_clocks(chip, core, crystal, |rcc| clocks::start(crystal, rcc))
+    }
+
     /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.
     pub fn start_loader<C: Peripheral>(
         mut self,
@@ -183,6 +197,7 @@ impl Board {
         why: Why,
         can: C,
         pins: CanPins<C>,
+        #[cfg(feature = "signed")] key: &'static PublicKey,
     ) -> (Runner<C>, Work, Watchdog) {
         // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
         let flash = unsafe { FLASH::steal() };
@@ -194,12 +209,12 @@ impl Board {
             hardware: crc::of(device.hardware_version.as_bytes()),
             chip: header::text(CHIP.feature),
             controller: C::NUMBER,
-            address: RUN,
-            capacity: CHIP.run_kb() * 1024 - header::HEADER_LEN as u32,
+            address: RUN.address,
+            capacity: RUN.kb * 1024 - header::HEADER_LEN as u32,
             ram: 0x2000_0000..0x2000_0000 + CHIP.ram_kb * 1024,
             allows_downgrade: true,
         };
-        let updater = place.write(Updater::new(Areas::new(now), Unsigned, expected, why, now()));
+        let updater = place.write(Updater::new(Areas::new(now), Checked, expected, why, now()));
         let mut device = device.with_rescue(false);
         if let Some(header) = updater.header() {
             device.address.revision_number = header.revision_number;
@@ -223,23 +238,87 @@ impl Board {
         let node = Node::with_application(device, settings, loader);
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
-        (Runner::new(node, can, self.alarm), Work { has_reported: false }, self.watchdog)
+        let work = Work {
+            has_reported: false,
+            #[cfg(feature = "signed")]
+            key,
+        };
+        (Runner::new(node, can, self.alarm), work, self.watchdog)
     }
 }
 
 impl Work {
-    /// Does the next step, then sleeps until there may be another: what makes one due signals an event.
+    /// Does the next step, then sleeps until there may be another: what makes one due signals an event. Between two locks
+    /// the interrupts of the bus come.
     pub fn step<C: Peripheral>(&mut self, runner: &mut impl Mutex<T = Runner<C>>) {
         Task::STORE.answer();
         Task::IDLE.answer();
-        let is_busy = runner.lock(|runner| self.turn(runner));
-        if !is_busy || Areas::is_busy() {
+        let next = runner.lock(Self::next);
+        if next.is_holding {
+            runner.lock(Runner::resume);
+        }
+        if let Some(owed) = next.owed {
+            runner.lock(|runner| runner.answer(owed, Ok(())));
+        }
+        if next.is_without_program != self.has_reported {
+            self.has_reported = next.is_without_program;
+            runner.lock(|runner| match next.is_without_program {
+                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
+                false => runner.end_report(USER_SOFTWARE),
+            });
+        }
+        #[cfg(feature = "signed")]
+        let action = next.action.and_then(|action| self.check(runner, action));
+        #[cfg(not(feature = "signed"))]
+        let action = next.action;
+        if let Some(action) = action {
+            runner.lock(|runner| carry_out(runner, action));
+        }
+        if !next.is_busy || Areas::is_busy() {
             asm::wfe();
         }
     }
 
-    /// Does the next step; returns whether the flash, or the work before it, goes on.
-    fn turn<C: Peripheral>(&mut self, runner: &mut Runner<C>) -> bool {
+    /// Checks a signature or a hash, if that is the action, while the bus goes on; returns what is left to do.
+    #[cfg(feature = "signed")]
+    fn check<C: Peripheral>(
+        &mut self,
+        runner: &mut impl Mutex<T = Runner<C>>,
+        action: Action,
+    ) -> Option<Action> {
+        /// The bytes of the header that are copied under one lock.
+        const PART: usize = 64;
+        match action {
+            Action::Verify => {
+                let mut header = [0; HEADER_LEN];
+                for (to, number) in header.chunks_exact_mut(PART).zip(0..) {
+                    runner.lock(|runner| {
+                        let bytes = runner.node().application().updater.header_bytes();
+                        to.copy_from_slice(&bytes[number * PART..][..PART]);
+                    });
+                }
+                let is_signed = signature::is_signed(&header, self.key);
+                runner
+                    .lock(|runner| runner.node_mut().application_mut().updater.verified(is_signed))
+            }
+            Action::Hash { words } => {
+                let mut hash = Sha256::new();
+                let mut areas = Areas::new(now);
+                for word in 0..words {
+                    let word = areas.read(Area::Run, HEADER_LEN as u32 + 4 * word);
+                    hash.update(word.to_le_bytes());
+                    Task::STORE.answer();
+                    Task::IDLE.answer();
+                }
+                let hash = hash.finalize().into();
+                runner.lock(|runner| runner.node_mut().application_mut().updater.hashed(&hash))
+            }
+            other => Some(other),
+        }
+    }
+
+    /// Begins the next step; returns what follows.
+    fn next<C: Peripheral>(runner: &mut Runner<C>) -> Next {
         runner.refuse_store(StoreError::MediumAccess);
         let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
         let loader = runner.node_mut().application_mut();
@@ -248,34 +327,38 @@ impl Work {
             loader.updater.answered(now());
         }
         let action = loader.updater.poll(now());
-        let is_holding = loader.held_since.is_some();
-        let is_without_program = loader.updater.is_without_program();
-        if let Some(owed) = loader.owed.take_if(|_| state == nmt::State::PreOperational) {
-            runner.answer(owed, Ok(()));
+        Next {
+            action,
+            is_busy: action.is_some() || loader.updater.is_busy(),
+            is_holding: loader.held_since.is_some(),
+            is_without_program: loader.updater.is_without_program(),
+            owed: loader.owed.take_if(|_| state == nmt::State::PreOperational),
         }
-        if is_holding {
-            runner.resume();
-        }
-        if is_without_program != self.has_reported {
-            self.has_reported = is_without_program;
-            match is_without_program {
-                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
-                false => runner.end_report(USER_SOFTWARE),
+    }
+}
+
+/// What follows a step.
+struct Next {
+    action: Option<Action>,
+    /// The flash, or the work before it, goes on.
+    is_busy: bool,
+    is_holding: bool,
+    is_without_program: bool,
+    owed: Option<Confirmation>,
+}
+
+fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
+    match action {
+        Action::Answer(outcome) => {
+            if let Some(answer) = runner.node_mut().application_mut().answer.take() {
+                runner.answer(answer, outcome.map_err(code));
             }
         }
-        match action {
-            Some(Action::Answer(outcome)) => {
-                if let Some(answer) = runner.node_mut().application_mut().answer.take() {
-                    runner.answer(answer, outcome.map_err(code));
-                }
-            }
-            Some(Action::Reset) => {
-                mailbox::hand_over(runner.node(), Command::Start);
-                SCB::sys_reset();
-            }
-            None => {}
+        Action::Reset => {
+            mailbox::hand_over(runner.node(), Command::Start);
+            SCB::sys_reset();
         }
-        runner.node_mut().application_mut().updater.is_busy()
+        Action::Verify | Action::Hash { .. } => {}
     }
 }
 

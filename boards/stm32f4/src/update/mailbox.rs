@@ -1,6 +1,7 @@
 //! The mailbox: 32 bytes of RAM between stack and variables in which loader and program leave each other what is in force.
 
 use canopen_node::{Application, BitRate, BitRateSetting, Node, NodeId, Settings};
+use cortex_m::peripheral::SCB;
 use program_update::{Command, Mailbox, Started};
 
 /// Its address, as program.x keeps it free.
@@ -46,10 +47,11 @@ pub(super) fn hand_over<A: Application>(node: &Node<A>, command: Command) {
     });
 }
 
-/// Records that the reset that follows is no failure of the program: without a mailbox none is.
-pub fn note_reset() {
+/// Resets the chip, which is no failure of the program: without a mailbox none is.
+pub fn reset() -> ! {
     // SAFETY: as above.
     unsafe { PLACE.cast::<u32>().write_volatile(0) };
+    SCB::sys_reset();
 }
 
 /// Records that the program has run for long.

@@ -55,10 +55,7 @@ impl Steps {
                 mailbox::hand_over(runner.node(), Command::Stop);
                 SCB::sys_reset();
             }),
-            Some(Request::Reset) => runner.lock(|_| {
-                mailbox::note_reset();
-                SCB::sys_reset();
-            }),
+            Some(Request::Reset) => runner.lock(|_| mailbox::reset()),
             Some(Request::Confirm(answer)) => {
                 let outcome = self.confirm(runner, update);
                 runner.lock(|runner| runner.answer(answer, outcome.map_err(super::objects::code)));
@@ -71,10 +68,7 @@ impl Steps {
             }
             Some(Wanted::Reset) => {
                 defmt::error!("not confirmed within 60 s, resetting");
-                runner.lock(|_| {
-                    mailbox::note_reset();
-                    SCB::sys_reset();
-                });
+                runner.lock(|_| mailbox::reset());
             }
             Some(Wanted::HasRun) => mailbox::note_has_run(),
             None => {}

@@ -14,7 +14,7 @@ use crate::{
 
 pub(super) const HEADER: u32 = HEADER_LEN as u32;
 /// The words that one step reads at most, in each area.
-pub(super) const CHUNK: u32 = 64;
+pub(super) const CHUNK: u32 = 8;
 pub(super) const BLANK: u32 = u32::MAX;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +58,8 @@ pub(super) enum Step {
         word: u32,
         crc: u32,
     },
+    /// Waits for its SHA-256.
+    Hashing,
     /// The words of its header.
     Seal(u32),
     /// The program is complete.
@@ -147,6 +149,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 return Ok(Some(Action::Reset));
             }
             Step::Check { word, crc } => return self.check(word, crc),
+            Step::Hashing => {}
             Step::Seal(word) => self.seal(word)?,
             Step::Done => {
                 self.run = self.download.header;

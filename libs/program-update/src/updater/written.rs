@@ -5,8 +5,8 @@ use super::{
     steps::{BLANK, CHUNK, HEADER, Step},
 };
 use crate::{
-    Abort, Area, Flash, FlashError, Status, Verify, crc,
-    download::Phase,
+    Area, Flash, FlashError, Status, Verify, crc,
+    download::{Phase, Proof},
     header::Field,
     journal::{self, LOADED, SET},
 };
@@ -14,13 +14,13 @@ use crate::{
 impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// Writes the next word of a download; after the last one its check begins.
     pub(super) fn write_download(&mut self) -> Result<(), FlashError> {
-        if !matches!(self.cleared, Cleared::Yes | Cleared::Used) {
+        let is_proven = !V::IS_SIGNED || self.download.proof == Proof::Given;
+        if !(is_proven && matches!(self.cleared, Cleared::Yes | Cleared::Used)) {
             return Ok(());
         }
         let offset = HEADER.wrapping_add(self.download.taken.wrapping_mul(4));
         if let Some(word) = self.download.pop() {
             self.cleared = Cleared::Used;
-            self.verify.add(word);
             self.program(Area::Run, offset, word)?;
         } else if self.download.phase == Phase::Ended {
             self.step = Step::Check { word: 0, crc: crc::BEGIN };
@@ -40,24 +40,21 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         }
         let stack_pointer = self.flash.read(Area::Run, HEADER);
         let reset = self.flash.read(Area::Run, HEADER + 4);
-        let is_other = self.verify.sha256().is_some_and(|hash| hash != header.sha256);
         let outcome = if !crc != header.crc {
             Err(Status::Damaged(Field::Crc))
-        } else if is_other {
-            Err(Status::Damaged(Field::Hash))
         } else {
             header.check_vectors(&self.expected, stack_pointer, reset)
         };
         Ok(match outcome {
+            Ok(()) if V::IS_SIGNED => {
+                self.step = Step::Hashing;
+                Some(Action::Hash { words: header.length / 4 })
+            }
             Ok(()) => {
                 self.step = Step::Seal(0);
                 None
             }
-            Err(status) => {
-                self.step = Step::Idle;
-                self.refuse(status);
-                Some(Action::Answer(Err(Abort::Hardware)))
-            }
+            Err(status) => Some(self.refuse_program(status)),
         })
     }
 

@@ -1,7 +1,7 @@
 //! Which files a loader takes, and what it says of the others.
 
 use program_update::{
-    Abort, Area, Header, Object, Release, Status, Unsigned, Updater, Verify,
+    Abort, Area, Header, Object, Release, Status, Unsigned,
     header::{Field, check_file, text},
     start::Why,
 };
@@ -269,61 +269,5 @@ fn a_lower_release_is_refused_only_where_no_downgrade_is_allowed() {
         } else {
             assert_eq!(lower, Ok(()));
         }
-    }
-}
-
-/// A check of signatures whose "signature" is the first byte of the header's CRC, and whose "hash" is a sum.
-#[derive(Default)]
-struct Sum(u32);
-
-impl Verify for Sum {
-    fn is_signed(&mut self, header: &[u8; 252], signature: &[u8; 64]) -> bool {
-        signature[0] == header[0] && header[..8] == *b"LSSPROG1"
-    }
-
-    fn add(&mut self, word: u32) {
-        self.0 = self.0.wrapping_add(word);
-    }
-
-    fn sha256(&mut self) -> Option<[u8; 32]> {
-        Some([std::mem::take(&mut self.0) as u8; 32])
-    }
-}
-
-#[test]
-fn a_loader_that_checks_signatures_takes_only_what_is_signed() {
-    let sum = crate::program::words(&file(1, 20)[512..]).fold(0, u32::wrapping_add) as u8;
-    let signed = |header: &mut Header| {
-        header.signature[0] = b'L';
-        header.sha256 = [sum; 32];
-    };
-    let cases = [
-        (file(1, 20), REFUSED, Status::Refused(Field::Signature)),
-        (with(|header| header.signature[0] = b'L'), DAMAGED, Status::Damaged(Field::Hash)),
-        (with(signed), Ok(()), Status::Ok),
-    ];
-    let (device, _) = cleared();
-    let new = |why| Updater::<_, _, 64>::new(device.chip.clone(), Sum(0), expected(768), why, 0);
-    let mut loader = new(Why::Stop);
-    for (file, outcome, status) in cases {
-        assert_eq!(loader.write_control(3), Ok(()));
-        while loader.is_busy() {
-            loader.poll(0);
-        }
-        let written = file.chunks(16).enumerate().try_for_each(|(i, part)| {
-            let written = loader.write(16 * i as u32, part);
-            (0..10).for_each(|_| assert_eq!(loader.poll(0), None));
-            written
-        });
-        let written = written.and_then(|()| loader.end(file.len() as u32));
-        let said = written.and_then(|()| {
-            let answer = (0..1000).find_map(|_| loader.poll(0));
-            match answer {
-                Some(program_update::Action::Answer(outcome)) => outcome,
-                other => panic!("{other:?}"),
-            }
-        });
-        assert_eq!(said, outcome);
-        assert_eq!(loader.read(Object::FlashStatus), status.value(false));
     }
 }

@@ -9,3 +9,4 @@ mod model;
 mod objects;
 mod program;
 mod program_side;
+mod signed;

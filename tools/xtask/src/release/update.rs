@@ -16,7 +16,8 @@ const NAME: &str = "lss-node";
 pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
     let product = workspace().join("target/products").join(format!("{NAME}-{}", chip.name()));
     let (git, folder) = (None, &*product);
-    Product { name: NAME, chip, controller: 1, git, folder, has_update: true }.write()?;
+    Product { name: NAME, chip, controller: 1, git, folder, has_update: true, is_signed: false }
+        .write()?;
     let run = |command: &[&str]| {
         let mut cargo = Command::new("cargo");
         // What is built there already need not be built again, so it is built with the same settings.

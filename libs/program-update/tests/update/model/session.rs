@@ -141,7 +141,7 @@ fn leave(loader: &mut Loader, chip: &Chip) -> &'static str {
     for _ in 0..MANY {
         match loader.poll(0) {
             Some(Action::Reset) => return "the loader resets by itself",
-            Some(Action::Answer(_)) => chip.check(false, "an answer that nobody waits for"),
+            Some(_) => chip.check(false, "it asks for what nobody waits for"),
             None if !loader.is_busy() => {
                 let resets = loader.poll(60_000_000) == Some(Action::Reset);
                 chip.check(resets, "the loader stays though there is a program");

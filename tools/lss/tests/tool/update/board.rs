@@ -166,6 +166,7 @@ impl State {
                             deeds.push(Deed::Reset(Cause::Other));
                             break;
                         }
+                        Some(Action::Verify | Action::Hash { .. }) => unreachable!("unsigned"),
                         None if !updater.is_busy() || self.chip.borrow().is_busy() => break,
                         None => {}
                     }
