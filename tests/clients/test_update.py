@@ -1,11 +1,13 @@
-"""python-canopen alone, and `lss update`, install a new program on emulated boards with a loader."""
+"""python-canopen, npm canopen and `lss update` install a new program on emulated boards with a loader."""
 
+import shutil
 import subprocess
 import zlib
 
 import pytest
 
-from boards import BUILD_TIMEOUT, WORKSPACE, Boards
+from boards import BUILD_TIMEOUT, HERE, WORKSPACE, Boards
+from test_npm_canopen import ENVIRONMENT
 
 CHIP = "stm32f405"
 NODE_IDS = 1, 2
@@ -52,10 +54,10 @@ def boards(kit):
         yield boards
 
 
-def assert_runs(boards, file):
+def assert_runs(boards, file, node_ids=NODE_IDS):
     """Each board runs the program in this file, and keeps it."""
     with boards.connect() as network:
-        for node_id in NODE_IDS:
+        for node_id in node_ids:
             sdo = network.add_node(node_id).sdo
             assert sdo.upload(0x1F56, 1) == file[12:16]
             assert sdo.upload(0x1F51, 1) == b"\1"
@@ -73,6 +75,17 @@ def test_python_canopen_installs_a_program_on_two_boards(kit, boards, tmp_path):
     code, printed = boards.lss("update", path)
     assert code == 0
     assert printed.count("0.2.0, has it already") == len(NODE_IDS)
+
+
+@pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
+def test_npm_canopen_installs_a_program_on_a_board(kit, boards, tmp_path):
+    file = newer((kit / "lss-node.update.bin").read_bytes())
+    path = tmp_path / "newer.update.bin"
+    path.write_bytes(file)
+    port = boards.address.rpartition(":")[2]
+    command = ["node", HERE / "node" / "update.js", port, "1", kit / "lss-node.eds", path]
+    subprocess.run(command, env=ENVIRONMENT, check=True, timeout=180)
+    assert_runs(boards, file, [1])
 
 
 def test_lss_installs_a_program_and_refuses_one_for_another_chip(kit, boards, tmp_path):

@@ -1,9 +1,9 @@
 //! An application that is the LSS master of its network: it hears all frames, sends its own, switches the bit rate of its
-//! node and stores its values.
+//! node and stores its values; and the inbox that such an application may have.
 
 use canopen_node::{
-    Action, Application, BitRate, BitRateSetting, Frame, Instant, application::Event,
-    lss::StoreError, objects,
+    Action, Application, BitRate, BitRateSetting, BusEvent, Frame, Instant, NodeId, Settings,
+    application::Event, lss::StoreError, master::Inbox, objects,
 };
 use testkit::{
     flash::BoardFlash,
@@ -46,6 +46,16 @@ fn board() -> NodeRig<Commander> {
     board
 }
 
+/// A board at an unproven bit rate of 1 Mbit/s that sends nothing by itself.
+fn unproven() -> NodeRig<Commander> {
+    let device = device(ADDRESS).with_rescue(true);
+    let device = device.with_defaults(Settings::new(BitRate::Kbit1000.into()));
+    let mut board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Commander::new());
+    board.is_acknowledged = false;
+    board.timeline();
+    board
+}
+
 fn now<A: Application + Clone>(board: &NodeRig<A>) -> Instant {
     Instant::from_micros(board.now() as u32)
 }
@@ -73,6 +83,35 @@ fn a_master_sends_its_frames_unless_the_node_is_silent() {
     assert!(board.node.switch_bit_rate(BitRate::Kbit125, 10, now(&board)));
     board.pass_ms(5);
     assert_eq!(send(&mut board), None);
+}
+
+#[test]
+fn a_master_pauses_when_nobody_acknowledges_its_frames() {
+    let mut board = unproven();
+    let send = |board: &mut NodeRig<Commander>| board.node.send(stranger(), now(board));
+    assert_eq!(send(&mut board), Some(Action::Transmit(stranger())));
+    board.pass_ms(99);
+    assert_eq!(send(&mut board), Some(Action::Transmit(stranger())));
+    board.pass_ms(2);
+    assert_eq!(send(&mut board), None);
+}
+
+#[test]
+fn a_master_that_searches_takes_part_at_the_bit_rate_that_it_is_told() {
+    // After so many milliseconds it listens at this rate, the second time at home.
+    for (rate, ms) in [(BitRate::Kbit800, 0), (BitRate::Kbit1000, 1_110)] {
+        let mut board = unproven();
+        board.see(BusEvent::Error);
+        board.pass_ms(ms);
+        assert_eq!((board.bit_rate(), board.node.is_listening()), (rate, true));
+        board.timeline();
+        assert!(board.node.switch_bit_rate(rate, 0, now(&board)));
+        board.pass_us(0);
+        assert!(!board.node.is_listening(), "{rate}");
+        let takes_part = format!("0 ms {rate}");
+        assert!(board.timeline().contains(&takes_part), "{rate}");
+        assert!(board.node.send(stranger(), now(&board)).is_some());
+    }
 }
 
 #[test]
@@ -127,4 +166,40 @@ fn an_application_that_is_no_master_commands_nothing() {
     assert_eq!(board.node.send(stranger(), now(&board)), None);
     assert!(!board.node.switch_bit_rate(BitRate::Kbit125, 10, now(&board)));
     assert!(!board.node.store_values());
+}
+
+#[test]
+fn the_inbox_of_a_master_has_answers_stores_nodes_and_rivals() {
+    let mut inbox = Inbox::EMPTY;
+    let node = |id| NodeId::new(id).expect("a node-ID");
+    let hear = |inbox: &mut Inbox, cob_id| {
+        let frame = Frame::new(cob_id, &[0x44]).expect("a frame");
+        inbox.hear(&frame, Instant::from_micros(7));
+        frame
+    };
+    let answer = hear(&mut inbox, 0x7E4);
+    assert!(inbox.has_answer() && !inbox.has_rival());
+    assert_eq!(inbox.take_answer(), Some((answer, Instant::from_micros(7))));
+    assert!(!inbox.has_answer() && inbox.take_answer().is_none());
+
+    // Emergency, TPDO 1, SDO answer and heartbeat are signs of a node; SYNC and what is for it are none.
+    for base in [0x080, 0x180, 0x580, 0x700] {
+        hear(&mut inbox, base + 5);
+        assert!(inbox.has_heard(node(5)) && !inbox.has_heard(node(4)), "{base:03X}");
+        inbox.forget();
+        assert!(!inbox.has_heard(node(5)));
+    }
+    for cob_id in [0x000, 0x080, 0x205, 0x605, 0x7E5] {
+        hear(&mut inbox, cob_id);
+    }
+    assert!((1..=127).all(|id| !inbox.has_heard(node(id))));
+    assert!(inbox.has_rival());
+    inbox.forget();
+    assert!(!inbox.has_rival());
+
+    inbox.handle(Event::Sync);
+    assert_eq!(inbox.take_stored(), None);
+    inbox.handle(Event::Stored(Err(StoreError::MediumAccess)));
+    assert_eq!(inbox.take_stored(), Some(Err(StoreError::MediumAccess)));
+    assert_eq!(inbox.take_stored(), None);
 }

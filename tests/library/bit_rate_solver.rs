@@ -212,10 +212,12 @@ fn the_table_of_cia_301_has_these_rates_at_these_indices() {
     for index in 0..=0xFF {
         let row = rates.iter().find(|row| row.0 == index).map(|row| row.1);
         assert_eq!(BitRate::from_table(0, index).map(BitRate::kbit_per_s), row, "{index}");
+        assert_eq!(row.and_then(BitRate::from_kbit_per_s), BitRate::from_table(0, index));
         for table in 1..=0xFF {
             assert_eq!(BitRate::from_table(table, index), None, "table {table}");
         }
     }
+    assert_eq!(BitRate::from_kbit_per_s(100), None);
 }
 
 #[test]

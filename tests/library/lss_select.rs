@@ -66,3 +66,11 @@ fn the_serial_number_of_a_unique_id_is_its_fnv_1a_hash() {
         assert_eq!(Address::serial_number_of(id), hash, "{id:?}");
     }
 }
+
+#[test]
+fn an_lss_address_in_bytes_has_each_number_from_its_lowest_byte_on() {
+    let bytes = *b"\x01\x02\x03\x04\x05\x06\x07\x08\x09\x0A\x0B\x0C\x0D\x0E\x0F\x10";
+    let address = Address::from([0x0403_0201, 0x0807_0605, 0x0C0B_0A09, 0x100F_0E0D]);
+    assert_eq!(address.to_le_bytes(), bytes);
+    assert_eq!(Address::from_le_bytes(bytes), address);
+}

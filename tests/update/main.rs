@@ -2,8 +2,13 @@
 
 mod bad_programs;
 mod busy;
+mod chips;
+mod faults;
+mod fleet;
 mod install;
 mod master;
 mod power_cut;
 mod resets;
 mod rig;
+mod times;
+mod wrong_files;

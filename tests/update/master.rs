@@ -76,25 +76,6 @@ impl Rig {
         Ok(self.ask([0xC1 | unused << 2, 0, 0, 0, 0, 0, 0, 0])?[0] == 0xA1)
     }
 
-    /// Installs a program and confirms it. After each step the number of operations of the flash is noted.
-    pub fn install(&mut self, file: &[u8], marks: &mut Vec<u64>) -> Result<(), Silence> {
-        let mut mark = |rig: &Self| marks.push(rig.operations());
-        mark(self);
-        assert!(self.try_control(0)?);
-        assert!(self.try_control(3)?);
-        assert_eq!(self.try_finish()?, 0);
-        mark(self);
-        assert!(self.try_download(file)?);
-        mark(self);
-        assert!(self.try_control(1)?);
-        let boot_up = Frame::new(0x700 + u16::from(NODE), &[0]).expect("a byte");
-        self.0.wait_for(Time::from_ms(500), |frame| *frame == boot_up).ok_or(Silence)?;
-        mark(self);
-        assert!(self.try_control(0x80)?);
-        mark(self);
-        Ok(())
-    }
-
     /// The number of operations of the flash so far.
     pub fn operations(&self) -> u64 {
         self.0.network.board(0).chip().flash().operations()

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use canopen_node::{BitRate, Device};
+use canopen_node::{BitRate, Device, NodeId};
 use emulator::{
     Time,
     board::{self, Board},
@@ -14,18 +14,23 @@ use testkit::{
     boards,
     image_rig::{ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings},
     product,
+    random::Random,
     sdo::Client,
+    settings::Stored,
     update,
 };
 
 pub const PART: Part = Part::Stm32f405;
-const CONTROLLER: u8 = 1;
+pub const CONTROLLER: u8 = 1;
 pub const NODE: u8 = 5;
-const RATE: BitRate = BitRate::Kbit1000;
+/// The address of RUN.
+pub const RUN: u32 = 0x0801_0000;
+pub const RATE: BitRate = BitRate::Kbit1000;
 
 /// The loader and the program.
 pub static IMAGES: LazyLock<[Image; 2]> = LazyLock::new(|| {
-    product::build_with_update("lamp", PART, CONTROLLER).unwrap_or_else(|error| panic!("{error}"))
+    product::build_with_update("lamp", PART, CONTROLLER, |_, content| content)
+        .unwrap_or_else(|error| panic!("{error}"))
 });
 
 /// The device with this software version.
@@ -37,6 +42,11 @@ pub fn device(version: &'static str) -> Device {
 
 /// The program with this version in place of its own, which is 0.1.0.
 pub fn program(version: &str) -> Image {
+    with_version(&IMAGES[1], version)
+}
+
+/// A program with this version in place of its own, which is 0.1.0.
+pub fn with_version(program: &Image, version: &str) -> Image {
     let exchange = |bytes: &[u8]| {
         let mut bytes = bytes.to_vec();
         for at in 0..bytes.len().saturating_sub(4) {
@@ -46,7 +56,7 @@ pub fn program(version: &str) -> Image {
         }
         bytes
     };
-    Image::from_segments(IMAGES[1].segments().map(|(at, bytes)| (at, exchange(bytes))).collect())
+    Image::from_segments(program.segments().map(|(at, bytes)| (at, exchange(bytes))).collect())
 }
 
 /// The update file of the program with this version.
@@ -61,15 +71,43 @@ pub fn file_of(program: &Image, version: &'static str) -> Vec<u8> {
 
 /// A board with the version 0.1.0 and stored settings.
 pub fn board() -> Board {
-    let image = update::factory(&IMAGES[0], &file("0.1.0"));
-    let settings = board::Settings { unique_id: boards::unique_id(0), ..Default::default() };
+    board_with(&file("0.1.0"))
+}
+
+/// A board with the program of an update file and stored settings.
+pub fn board_with(file: &[u8]) -> Board {
+    board_of(file, settings(NODE, RATE))
+}
+
+/// A board with the program of an update file and these settings.
+pub fn board_of(file: &[u8], stored: Stored) -> Board {
+    let image = update::factory(&IMAGES[0], file);
+    let number = stored.node_id.map_or(0, NodeId::get).into();
+    let settings = board::Settings { unique_id: boards::unique_id(number), ..Default::default() };
     let mut board = Board::new(PART, &image, settings);
-    board.set_flash(SETTINGS_OFFSET, &stored());
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[stored]));
     board
 }
 
-fn stored() -> Vec<u8> {
+pub fn stored() -> Vec<u8> {
     flash_with(&[settings(NODE, RATE)])
+}
+
+/// The update file of the product's program with random bytes behind it, up to this number of KB, if it has less.
+pub fn padded(version: &'static str, kb: usize) -> Vec<u8> {
+    padded_of(&IMAGES[1], version, kb)
+}
+
+/// The update file of another program.
+pub fn padded_of(program: &Image, version: &'static str, kb: usize) -> Vec<u8> {
+    let end = |(at, bytes): (u32, &[u8])| at + bytes.len() as u32;
+    let end = program.segments().map(end).max().expect("segments").next_multiple_of(4);
+    let mut random = Random::from_seed(end.into());
+    let length = (RUN as usize + kb * 1024).saturating_sub(end as usize);
+    let bytes = (0..length).map(|_| random.byte()).collect();
+    let program = with_version(program, version);
+    let segments = program.segments().map(|(at, bytes)| (at, bytes.to_vec()));
+    file_of(&Image::from_segments(segments.chain([(end, bytes)]).collect()), version)
 }
 
 /// A master and the board, and the time-out of its requests.
@@ -78,7 +116,12 @@ pub struct Rig(pub ImageRig, pub Time);
 impl Rig {
     /// The board after its start.
     pub fn new() -> Self {
-        let mut rig = Self(ImageRig::new(RATE, [board()]), Time::from_ms(500));
+        Self::of(board())
+    }
+
+    /// This board after its start.
+    pub fn of(board: Board) -> Self {
+        let mut rig = Self(ImageRig::new(RATE, [board]), Time::from_ms(500));
         assert_eq!(rig.0.collect(Time::from_ms(10)), ["705: 00"]);
         rig
     }

@@ -32,6 +32,8 @@ mod led;
 #[cfg(target_os = "none")]
 mod log;
 #[cfg(target_os = "none")]
+pub mod master;
+#[cfg(target_os = "none")]
 mod runner;
 #[cfg(target_os = "none")]
 mod start;

@@ -1,11 +1,12 @@
 //! The objects of the commissioner: the table of its network, its state, and what it hears on the bus.
 
-use core::{array, iter};
+use core::iter;
 
 use canopen_node::{
     BitRate, Frame, Instant, NodeId,
     application::{Event, OctetString},
-    lss::{self, Address},
+    lss::Address,
+    master::{Inbox, Master},
     objects,
     sdo::Abort,
 };
@@ -19,18 +20,20 @@ pub const BOARDS: usize = 32;
 /// byte on.
 const ROW: usize = 16;
 
+/// Boards are bits of a number, that with the node-ID 1 first: here all.
+pub const ALL: u32 = u32::MAX;
+
+/// The bit of a board.
+pub const fn bit(node: NodeId) -> u32 {
+    1 << (node.get() as u32 - 1)
+}
+
 objects! {
     /// The objects of the commissioner, with their values.
     pub struct Application, values Value;
 
-    /// The answer to an LSS request that the master has not taken, and when it came.
-    private answer: Option<(Frame, Instant)> = None;
-    /// The nodes that were heard since the last call of [`listen`](Application::listen), a bit for each.
-    private heard: u128 = 0;
-    /// Whether another LSS master was heard since then.
-    private has_rival: bool = false;
-    /// The outcome of the last store.
-    private is_stored: Option<bool> = None;
+    /// What has come for the master.
+    private inbox: Inbox = Inbox::EMPTY;
 
     0x2100 "Network" {
         1 "State" state: u8 = State::Asking as u8, ro;
@@ -74,90 +77,47 @@ impl canopen_node::Application for Application {
     const IS_MASTER: bool = true;
 
     fn hear(&mut self, frame: &Frame, now: Instant) {
-        match frame.cob_id() {
-            lss::RESPONSE_COB_ID => self.answer = Some((*frame, now)),
-            lss::REQUEST_COB_ID => self.has_rival = true,
-            // Emergency, TPDO 1, SDO answer, heartbeat or boot-up.
-            cob_id @ (0x081..=0x0FF | 0x181..=0x1FF | 0x581..=0x5FF | 0x701..=0x77F) => {
-                self.heard |= 1 << (cob_id & 0x7F);
-            }
-            _ => {}
-        }
+        self.inbox.hear(frame, now);
+    }
+
+    fn handle(&mut self, event: Event) {
+        self.inbox.handle(event);
     }
 
     fn accept(&mut self, value: &Value) -> Result<(), Abort> {
         let is_legal = match value {
-            Value::BitRate(rate) => *rate == 0 || bit_rate(*rate).is_some(),
+            Value::BitRate(rate) => *rate == 0 || BitRate::from_kbit_per_s(*rate).is_some(),
             Value::Table(table) => table.as_bytes().len().is_multiple_of(ROW),
             _ => true,
         };
         if is_legal { Ok(()) } else { Err(Abort::InvalidValue) }
     }
+}
 
-    fn handle(&mut self, event: Event) {
-        if let Event::Stored(outcome) = event {
-            self.is_stored = Some(outcome.is_ok());
-        }
+impl Master for Application {
+    fn inbox(&mut self) -> &mut Inbox {
+        &mut self.inbox
     }
-}
-
-/// The LSS address in a row, if there is one.
-fn address(row: &[u8; ROW]) -> Option<Address> {
-    let (parts, _) = row.as_chunks();
-    (*row != [0; ROW]).then(|| array::from_fn(|part| u32::from_le_bytes(parts[part])).into())
-}
-
-/// The bit rate of so many kbit/s.
-fn bit_rate(kbit_per_s: u16) -> Option<BitRate> {
-    BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit_per_s)
 }
 
 impl Application {
-    /// Whether an answer to an LSS request waits.
-    pub const fn has_answer(&self) -> bool {
-        self.answer.is_some()
-    }
-
-    /// The answer to an LSS request, and when it came.
-    pub const fn take_answer(&mut self) -> Option<(Frame, Instant)> {
-        self.answer.take()
-    }
-
-    /// Forgets what was heard.
-    pub const fn listen(&mut self) {
-        (self.heard, self.has_rival) = (0, false);
-    }
-
-    /// Whether this node was heard.
-    pub const fn has_heard(&self, node: NodeId) -> bool {
-        self.heard >> node.get() & 1 == 1
-    }
-
-    /// Whether another LSS master was heard.
-    pub const fn has_rival(&self) -> bool {
-        self.has_rival
-    }
-
-    /// The outcome of the last store, once.
-    pub const fn take_stored(&mut self) -> Option<bool> {
-        self.is_stored.take()
-    }
-
     /// The bit rate that a client has asked for.
     pub fn asked_rate(&self) -> Option<BitRate> {
-        bit_rate(self.bit_rate)
+        BitRate::from_kbit_per_s(self.bit_rate)
     }
 
     /// The rows of the table: each node-ID with the LSS address of its board.
     pub fn rows(&self) -> impl Iterator<Item = (NodeId, Option<Address>)> {
         let (rows, _) = self.table.as_bytes().as_chunks();
+        let address = |row: &[u8; ROW]| (*row != [0; ROW]).then(|| Address::from_le_bytes(*row));
         let rows = rows.iter().map(address).chain(iter::repeat(None));
         (1..=BOARDS as u8).filter_map(NodeId::new).zip(rows)
     }
 
-    /// The boards of the table, each with its node-ID.
-    pub fn boards(&self) -> impl Iterator<Item = (NodeId, Address)> {
-        self.rows().filter_map(|(node, row)| Some((node, row?)))
+    /// Those of these boards that are in the table, each with its node-ID.
+    pub fn boards(&self, boards: u32) -> impl Iterator<Item = (NodeId, Address)> {
+        let chosen = self.rows().filter(move |(node, _)| boards & bit(*node) != 0);
+        chosen.filter_map(|(node, row)| Some((node, row?)))
     }
 
     /// Writes the row of this node-ID.
@@ -166,8 +126,7 @@ impl Application {
         let before = self.table.as_bytes();
         bytes[..before.len()].copy_from_slice(before);
         let end = ROW * usize::from(node.get());
-        let (parts, _) = bytes[end - ROW..end].as_chunks_mut();
-        parts.copy_from_slice(&<[u32; 4]>::from(address).map(u32::to_le_bytes));
+        bytes[end - ROW..end].copy_from_slice(&address.to_le_bytes());
         let table = OctetString::from_bytes(&bytes[..end.max(before.len())]);
         self.table = table.unwrap_or(self.table);
     }

@@ -27,7 +27,7 @@ mod app {
     };
 
     use crate::{
-        network::Network,
+        network::Commissioner,
         pins::{Can, Pins},
     };
 
@@ -79,7 +79,7 @@ mod app {
     /// Commissions the network; it sleeps while it waits.
     #[idle(local = [button], shared = [runner])]
     fn idle(cx: idle::Context) -> ! {
-        Network::new(cx.shared.runner, cx.local.button, board::serial_number()).commission()
+        Commissioner::new(cx.shared.runner, cx.local.button).commission()
     }
 
     /// Handles received frames and sends the answer. If it runs late by more than three frames (150 us at 1 Mbit/s),

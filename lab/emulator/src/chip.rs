@@ -26,7 +26,7 @@ mod variant;
 
 pub use adc::{Adc, Analogue};
 pub use finding::{Finding, Problem};
-pub use flash::{Flash, PowerCut, StuckBits, Timing};
+pub use flash::{Cells, Done, Flash, PowerCut, StuckBits, Timing};
 pub use gpio::{Gpio, Output, Pin};
 pub use map::{CCM_BASE, FLASH_BASE, RAM_BASE};
 pub use part::{Part, UnknownPart};

@@ -21,17 +21,21 @@ const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
 
 /// The other files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 9] = [
+const TEMPLATE: [&str; 10] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
     "build.rs",
+    "ci.sh",
     "examples/eds.rs",
     "memory.x",
     "src/application.rs",
     "src/flash.rs",
     "tests/board.rs",
 ];
+
+/// The file of a product that finds this repository from every computer.
+const OF_GIT: &str = ".github/workflows/ci.yml";
 
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
@@ -57,23 +61,43 @@ pub fn build_changed(
     }
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target")).stderr(Stdio::piped());
+        in_our_target(command);
+        command.stderr(Stdio::piped());
     })
 }
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.
-pub fn build_with_update(name: &str, chip: Part, controller: u8) -> anyhow::Result<[Image; 2]> {
+/// `change` gets the path and the content of each of its files.
+pub fn build_with_update(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<[Image; 2]> {
+    let program = build_program(name, chip, controller, change)?;
+    let folder = workspace().join("target/products").join(name);
+    let loader = image::build_loader(&folder, name, chip, in_our_target)?;
+    Ok([Image::from_elf(&loader)?, program])
+}
+
+/// The program of such a product alone: another one for boards with the loader of a product.
+pub fn build_program(
+    name: &str,
+    chip: Part,
+    controller: u8,
+    change: impl Fn(&str, String) -> String,
+) -> anyhow::Result<Image> {
     let folder = workspace().join("target/products").join(name);
     let product = Product { name, chip, controller, git: None, folder: &folder, has_update: true };
-    product.write()?;
-    let change = |command: &mut Command| {
-        // The HAL is built there already.
-        command.arg("--target-dir").arg(workspace().join("target"));
-    };
-    let loader = image::build_loader(&folder, name, chip, change)?;
-    let program = image::build_with(&folder, name, chip, change)?;
-    Ok([Image::from_elf(&loader)?, Image::from_elf(&program)?])
+    let files = product.files()?.into_iter().map(|(path, content)| (path, change(path, content)));
+    product.write_files(&files.collect::<Vec<_>>())?;
+    let program = image::build_with(&folder, name, chip, in_our_target)?;
+    Ok(Image::from_elf(&program)?)
+}
+
+/// The HAL is built there already.
+fn in_our_target(command: &mut Command) {
+    command.arg("--target-dir").arg(workspace().join("target"));
 }
 
 /// A product to be made.
@@ -120,6 +144,9 @@ impl Product<'_> {
         for path in TEMPLATE {
             files.push((path, read(&format!("template/{path}"))?));
         }
+        if self.git.is_some() {
+            files.push((OF_GIT, read(&format!("template/{OF_GIT}"))?));
+        }
         if self.has_update {
             update::add(&mut files, read)?;
         }
@@ -129,7 +156,7 @@ impl Product<'_> {
         for (path, content) in &mut files {
             let text = mem::take(content);
             *content = match () {
-                () if COPIES.contains(path) => text,
+                () if COPIES.contains(path) || *path == OF_GIT => text,
                 () if TEMPLATE.contains(path) || *path == update::UPDATE_FILE => {
                     words.iter().fold(text, fill)
                 }
@@ -238,7 +265,7 @@ mod tests {
             .output()
             .expect("git runs");
         let tracked = String::from_utf8(tracked.stdout).expect("UTF-8");
-        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len(), "{tracked}");
+        assert_eq!(tracked.lines().count(), TEMPLATE.len() + update::FILES.len() + 1, "{tracked}");
     }
 
     #[test]
@@ -281,6 +308,11 @@ mod tests {
 
         let url = "https://example.org/lss-slave.git";
         let files_of_url = files(Part::Stm32f446, 1, Some(url), Path::new("/products/door-lock"));
+        assert!(content(&files_of_url, OF_GIT).contains("run: bash ci.sh"));
+        assert!(
+            !files_beside.iter().any(|(path, _)| *path == OF_GIT),
+            "CI has no folder beside it"
+        );
         let manifest: Table = content(&files_of_url, "Cargo.toml").parse().expect("TOML");
         for table in [&manifest["dependencies"], &manifest["dev-dependencies"]] {
             for (name, dependency) in table.as_table().expect("dependencies") {

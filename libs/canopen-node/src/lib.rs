@@ -46,6 +46,7 @@ mod cob_id;
 pub mod emergency;
 mod heartbeat;
 pub mod indicator;
+pub mod master;
 pub mod nmt;
 pub mod object_dictionary;
 pub mod pdo;

@@ -5,11 +5,7 @@ pub(crate) mod slave;
 #[doc(inline)]
 pub use lss_slave::cob_id::{ERROR_CONTROL as ERROR_CONTROL_COB_ID, NMT_COMMAND as COMMAND_COB_ID};
 
-use crate::{
-    Frame, NodeId,
-    object_dictionary::DataType,
-    settings::parameters::{HEADER, Packer, Parameter},
-};
+use crate::{Frame, NodeId};
 
 /// An NMT state; the value is the one in a heartbeat (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,32 +79,6 @@ pub enum ErrorBehaviour {
 impl ErrorBehaviour {
     /// The behaviour of a device whose application declares no other.
     pub(crate) const DEFAULT: Self = Self::EnterPreOperational;
-    /// The greatest number of bytes that the stored parameter takes.
-    pub(crate) const STORED_LEN: usize = HEADER + 1;
-    const INDEX: u16 = 0x1029;
-    const COMMUNICATION_ERROR: u8 = 1;
-    const DATA_TYPE: u8 = DataType::Unsigned8 as u8;
-
-    /// Packs the parameter: one that is not stored is the `declared` one.
-    pub(crate) fn save(self, declared: Self, to: &mut Packer<'_>) {
-        if self != Self::DEFAULT || declared != Self::DEFAULT {
-            to.put(&Parameter {
-                index: Self::INDEX,
-                sub_index: Self::COMMUNICATION_ERROR,
-                data_type: Self::DATA_TYPE,
-                value: &[self as u8],
-            });
-        }
-    }
-
-    /// The behaviour in a stored parameter, if it is this one and legal.
-    pub(crate) fn from_stored(parameter: &Parameter<'_>) -> Option<Self> {
-        match (parameter.index, parameter.sub_index, parameter.data_type, parameter.value) {
-            (Self::INDEX, Self::COMMUNICATION_ERROR, Self::DATA_TYPE, &[value]) => Self::new(value),
-            _ => None,
-        }
-    }
-
     pub(crate) const fn new(value: u8) -> Option<Self> {
         match value {
             0 => Some(Self::EnterPreOperational),

@@ -15,6 +15,7 @@ mod product;
 mod program;
 mod receives;
 mod settings_object;
+mod stored;
 mod verification;
 
 use lss_slave::Slave;

@@ -42,7 +42,7 @@ const INHIBIT_TIME: u8 = 3;
 pub(crate) struct Configuration<N: Numbers> {
     tpdos: N::Tpdos<Pdo>,
     rpdos: N::Rpdos<Pdo>,
-    sync: Sync,
+    pub sync: Sync,
 }
 
 /// The PDOs of a node. They take no code if there are none.

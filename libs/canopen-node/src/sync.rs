@@ -11,7 +11,6 @@ use crate::{
         DefaultValue, Description, Entry, Number, Object, row,
     },
     sdo::Abort,
-    settings::parameters::{HEADER, Packer, Parameter},
 };
 
 const COB_ID: u16 = 0x1005;
@@ -48,9 +47,6 @@ pub(crate) struct Sync {
 pub(crate) struct WrongLength;
 
 impl Sync {
-    /// The number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize = 3 * (HEADER + 4) + HEADER + 1;
-
     pub const fn new() -> Self {
         Self { cob_id: cob_id::SYNC, period: 0, window: 0, overflow: 0 }
     }
@@ -110,43 +106,6 @@ impl Sync {
         const LONGEST: u32 = 1800 * 1_000_000;
         match self.window {
             length @ 1..=LONGEST => Some(now.plus_micros(length)),
-            _ => None,
-        }
-    }
-
-    /// Packs 1005h and 1019h, and 1006h and 1007h unless they are 0. A counter is taken before the period.
-    pub fn save(&self, to: &mut Packer<'_>) {
-        let cob_id = u32::from(self.cob_id).to_le_bytes();
-        for (index, data_type, value) in
-            [(COB_ID, Unsigned32, &cob_id[..]), (COUNTER_OVERFLOW, Unsigned8, &[self.overflow])]
-        {
-            to.put(&Parameter { index, sub_index: 0, data_type: data_type as u8, value });
-        }
-        for (index, time) in [(CYCLE_PERIOD, self.period), (WINDOW_LENGTH, self.window)] {
-            if time != 0 {
-                let (data_type, value) = (Unsigned32 as u8, &time.to_le_bytes());
-                to.put(&Parameter { index, sub_index: 0, data_type, value });
-            }
-        }
-    }
-
-    /// Takes a stored parameter, if it is one of SYNC and is legal.
-    pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
-        const U8: u8 = Unsigned8 as u8;
-        const U32: u8 = Unsigned32 as u8;
-        match (parameter.index, parameter.sub_index, parameter.data_type, parameter.value) {
-            (COB_ID, 0, U32, &[b0, b1, b2, b3]) => {
-                self.set_cob_id(u32::from_le_bytes([b0, b1, b2, b3])).ok()
-            }
-            (CYCLE_PERIOD, 0, U32, &[b0, b1, b2, b3]) => {
-                self.period = u32::from_le_bytes([b0, b1, b2, b3]);
-                Some(())
-            }
-            (WINDOW_LENGTH, 0, U32, &[b0, b1, b2, b3]) => {
-                self.window = u32::from_le_bytes([b0, b1, b2, b3]);
-                Some(())
-            }
-            (COUNTER_OVERFLOW, 0, U8, &[overflow]) => self.set_overflow(overflow).ok(),
             _ => None,
         }
     }

@@ -171,3 +171,16 @@ fn a_member_that_is_not_selected_gets_no_bit_rate() {
     assert_eq!((bus.count(&[0x13]), bus.count(&[0x15])), (0, 0));
     assert_eq!(members[0].outcome, outcome);
 }
+
+#[test]
+fn an_error_says_which_request_failed_and_how() {
+    let request = Request::ConfigureNodeId(5);
+    let refused =
+        |code, manufacturer_code| Error::Refused { request, code, manufacturer_code }.to_string();
+    assert_eq!(Error::NoAnswer(request).to_string(), "11 is not answered");
+    assert_eq!(refused(1, None), "11 is refused with error 01");
+    assert_eq!(refused(0xFF, Some(0x2A)), "11 is refused with error FF, manufacturer's code 2A");
+    let unexpected = Error::Unexpected { request, answer: [0x11, 0, 7, 0, 0, 0, 0, 0] };
+    assert_eq!(unexpected.to_string(), "11 is answered [11, 00, 07, 00, 00, 00, 00, 00]");
+    assert_eq!(Error::Inconsistent.to_string(), "the answers contradict each other");
+}

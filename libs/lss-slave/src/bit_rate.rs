@@ -59,6 +59,11 @@ impl BitRate {
         }
     }
 
+    /// The rate of so many kbit/s.
+    pub fn from_kbit_per_s(kbit_per_s: u16) -> Option<Self> {
+        Self::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit_per_s)
+    }
+
     /// The index in table 0.
     pub const fn index(self) -> u8 {
         self as u8

@@ -125,6 +125,7 @@ impl Slave {
     pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16, now: Instant) -> bool {
         let begins = !self.bit_rate.is_switching() && self.lss.configure_bit_rate(rate.into());
         if begins {
+            self.bit_rate.end_search();
             self.bit_rate.switch(delay_ms, now);
         }
         begins

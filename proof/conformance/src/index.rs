@@ -60,12 +60,18 @@ fn cases(root: &Path) -> io::Result<String> {
         ("CiA 305", LSS),
     ] {
         text += &format!("\n| {name} | about | file |\n|---|---|---|\n");
-        for group in groups {
+        let of_group = |group: &Group| {
             let named = format!("name: \"{}\"", group.name);
-            let file = files.iter().find(|(_, text)| text.contains(&named));
-            let (path, source) = file.ok_or(io::ErrorKind::NotFound)?;
+            files.iter().find(|(_, text)| text.contains(&named)).ok_or(io::ErrorKind::NotFound)
+        };
+        let of_groups = groups.iter().map(of_group).collect::<Result<Vec<_>, _>>()?;
+        for (path, source) in &files {
+            let of_file = groups.iter().zip(&of_groups).filter(|(_, (of, _))| of == path);
+            let ranges = of_file.map(|(group, _)| range(group)).collect::<Vec<_>>();
             let path = path.strip_prefix(root).unwrap_or(path).display();
-            text += &format!("| {} | {} | `{path}` |\n", range(group), about(source));
+            if !ranges.is_empty() {
+                text += &format!("| {} | {} | `{path}` |\n", ranges.join(", "), about(source));
+            }
         }
     }
     Ok(text)
@@ -91,16 +97,33 @@ fn about(source: &str) -> String {
 fn tests(root: &Path) -> io::Result<String> {
     let mut text = String::from("\n## Tests\n");
     for (folder, heading) in TESTS {
-        text += &format!("\n| in `{folder}/` | {heading} |\n|---|---|\n");
+        text += &format!("\n{heading}, in `{folder}/`:\n\n");
         for (path, source) in sources(&root.join(folder))? {
             if !source.contains("\n#[test]\n") {
                 continue;
             }
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             let sentence = sentence(&source);
-            let about = sentence.split_once(": ").map_or(&sentence[..], |(about, _)| about);
-            text += &format!("| `{name}` | {about} |\n");
+            // The source of a rule stands in the file.
+            let about = sentence.split_once(" (").map_or(&sentence[..], |(about, _)| about);
+            let about = about.split_once(": ").map_or(about, |(about, _)| about);
+            text += &wrapped(&format!("- `{name}`: {about}"));
         }
     }
     Ok(text)
+}
+
+/// An item of a list, in lines of at most 120 characters.
+fn wrapped(item: &str) -> String {
+    let (mut lines, mut column) = (String::new(), 0);
+    for word in item.split(' ') {
+        let separator = match column {
+            0 => "",
+            column if column + word.len() < 120 => " ",
+            _ => "\n  ",
+        };
+        column = if separator.len() > 1 { 2 } else { column + separator.len() } + word.len();
+        lines = lines + separator + word;
+    }
+    lines + "\n"
 }

@@ -1,4 +1,4 @@
-//! `cargo verify bench`: the cost of this project's LSS slave and node and of others, in instructions, cycles and bytes.
+//! `cargo verify bench`: the cost of this project's LSS slave and node and of others, in instructions and bytes.
 
 mod machine;
 mod programs;
@@ -38,12 +38,12 @@ pub fn run(Arguments {}: &Arguments) -> anyhow::Result<()> {
         let [module, state, whole] = builds.sizes(program)?;
         let sizes = [module, state, whole, Some(stack.into())];
         let sizes = sizes.map(|size| size.map_or_else(String::new, |bytes| bytes.to_string()));
-        row(program.title, &[costs.cells(|cost| cost.instructions), sizes.into()].concat());
+        row(program.title, &[costs.cells(), sizes.into()].concat());
     }
-    table(&NODE, &node, |cost| cost.instructions);
-    println!("\nCycles of the same, with a flash without wait states");
-    table(&LSS, &lss, |cost| cost.cycles);
-    table(&NODE, &node, |cost| cost.cycles);
+    head(&heads(&NODE));
+    for (program, costs) in &node {
+        row(program.title, &costs.cells());
+    }
     Ok(())
 }
 
@@ -62,13 +62,6 @@ fn heads(columns: &[Column]) -> Vec<[&'static str; 2]> {
     columns.iter().map(|(head, _)| *head).collect()
 }
 
-fn table(columns: &[Column], measured: &[Measured], unit: fn(&Cost) -> u64) {
-    head(&heads(columns));
-    for (program, costs) in measured {
-        row(program.title, &costs.cells(unit));
-    }
-}
-
 fn head(heads: &[[&str; 2]]) {
     for line in 0..2 {
         row("", &heads.iter().map(|head| head[line].to_owned()).collect::<Vec<_>>());
@@ -85,10 +78,10 @@ fn row(title: &str, cells: &[String]) {
 
 impl Costs {
     /// The cells of a row.
-    fn cells(&self, unit: fn(&Cost) -> u64) -> Vec<String> {
+    fn cells(&self) -> Vec<String> {
         let cell = |costs: &Vec<Cost>| match &costs[..] {
             [] => "none".to_owned(),
-            costs => costs.iter().map(|cost| unit(cost).to_string()).collect::<Vec<_>>().join("/"),
+            costs => costs.iter().map(|cost| cost.to_string()).collect::<Vec<_>>().join("/"),
         };
         self.costs.iter().map(cell).collect()
     }

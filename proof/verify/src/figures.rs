@@ -51,7 +51,7 @@ fn output(command: &str) -> anyhow::Result<String> {
 
 fn figures(output: &str) -> String {
     let is_of_runner = |line: &&str| {
-        let starts = ["running ", "test result", "SEED="];
+        let starts = ["running ", "test ", "SEED="];
         line.trim_matches(['.', 'i']).is_empty()
             || starts.iter().any(|start| line.starts_with(start))
     };

@@ -56,6 +56,16 @@ pub fn relative(text: &str, now: Instant) -> String {
     for (name, end) in WITHOUT_EFFECT {
         replace(&mut relative, name, end, |_| String::new());
     }
+    // The agenda keeps the deadlines of tasks that have none any more.
+    let mut timed = 0;
+    replace(&mut relative, "timed: Tasks(", ')', |tasks| {
+        timed = tasks.parse::<u32>().expect("a set of tasks");
+        tasks.to_owned()
+    });
+    replace(&mut relative, "deadlines: [", ']', |deadlines| {
+        let of_tasks = deadlines.split(", ").enumerate();
+        of_tasks.filter(|(task, _)| timed >> task & 1 == 1).map(|(_, deadline)| deadline).collect()
+    });
     if relative.contains("place: Home") {
         for name in AWAY {
             replace(&mut relative, name, ',', |_| String::new());
@@ -69,7 +79,7 @@ pub fn relative(text: &str, now: Instant) -> String {
 }
 
 /// Replaces what follows each `name`, up to the next `end`.
-fn replace(text: &mut String, name: &str, end: char, with: impl Fn(&str) -> String) {
+fn replace(text: &mut String, name: &str, end: char, mut with: impl FnMut(&str) -> String) {
     let mut at = 0;
     while let Some(found) = text[at..].find(name) {
         at += found + name.len();

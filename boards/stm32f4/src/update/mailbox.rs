@@ -29,7 +29,7 @@ pub fn take_in_force() -> Option<InForce> {
     let mailbox = read()?;
     write(&Mailbox { kbit: 0, node_id: 0, heartbeat_ms: 0, ..mailbox });
     let Mailbox { node_id, heartbeat_ms, kbit, .. } = mailbox;
-    let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit)?;
+    let rate = BitRate::from_kbit_per_s(kbit)?;
     let settings = Settings::new(BitRateSetting::Fixed(rate)).with_node_id(NodeId::new(node_id));
     Some(InForce { settings, heartbeat_ms })
 }

@@ -58,8 +58,8 @@ fn twenty_blank_boards_get_a_node_id_each_while_the_button_is_held() {
     assert_eq!(rig.number(0x2100, 2), (1 << 20) - 1);
 }
 
-#[test]
-fn boards_with_the_release_image_are_commissioned_and_switched() {
+/// Three boards with the release image, just commissioned.
+fn three_real() -> Rig {
     let mut rig = Rig::new([]);
     for number in 1..=3 {
         rig.network.add_board(blank_board(Firmware::Default, number));
@@ -68,14 +68,24 @@ fn boards_with_the_release_image_are_commissioned_and_switched() {
     rig.run_for(BOOT);
     assert_eq!(rig.restart(), State::New);
     assert_eq!([(); 3].map(|()| rig.press()), [State::New, State::New, State::Complete]);
+    rig
+}
+
+#[test]
+fn boards_with_the_release_image_are_commissioned_and_switched() {
+    let mut rig = three_real();
     assert_eq!(rig.switch(500), State::Complete);
     for board in 0..4 {
         rig.network.power_off(board);
     }
     rig.run_for(Time::from_ms(10));
-    for board in 0..4 {
+    // Each has stored the rate, and finds nobody.
+    for board in 1..4 {
         rig.network.power_on(board);
+        rig.run_for(Time::from_ms(50));
+        assert_eq!(rig.network.board(board).chip().can(1).bit_rate(), 500_000);
     }
+    rig.network.power_on(0);
     rig.run_for(Time::from_ms(50));
     assert_eq!((rig.settle(), rig.slaves.rate), (State::Complete, BitRate::Kbit500));
     assert_eq!(rig.number(0x2100, 2), 0b111);
@@ -230,21 +240,27 @@ fn it_stays_away_from_the_work_of_another_master() {
 
 #[test]
 fn two_commissioners_with_one_table_do_not_disturb_each_other() {
-    let mut rig = Rig::new(blank(1..=2));
-    rig.settle();
-    rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
-    let flash = rig.network.board(0).flash();
-    let mut second = commissioner(1, RATE);
-    second.set_flash(0, &flash);
-    rig.network.add_board(second);
-    rig.network.power_off(0);
-    rig.run_for(Time::from_ms(10));
-    rig.network.power_on(0);
-    rig.run_for(Time::from_s(30));
-    assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
-    for board in 0..2 {
-        assert_eq!(rig.pattern(board), (16, 0), "both know that all are there");
-        assert_eq!(rig.network.board(board).flash(), flash);
+    // The second one begins so many microseconds later.
+    for (rate, later_us) in [(RATE, 300), (BitRate::Kbit1000, 0), (BitRate::Kbit1000, 100)] {
+        let boards = [1, 2].map(|number| (new_board(address(1, number), rate), Habits::default()));
+        let mut rig = Rig::at(rate, boards);
+        rig.settle();
+        rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
+        let flash = rig.network.board(0).flash();
+        let mut second = commissioner(1, rate);
+        second.set_flash(0, &flash);
+        rig.network.add_board(second);
+        (0..2).for_each(|board| rig.network.power_off(board));
+        rig.run_for(Time::from_ms(10));
+        rig.network.power_on(0);
+        rig.run_for(Time::from_us(later_us));
+        rig.network.power_on(1);
+        rig.run_for(Time::from_s(30));
+        assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
+        for board in 0..2 {
+            assert_eq!(rig.pattern(board), (16, 0), "both know that all are there");
+            assert_eq!(rig.network.board(board).flash(), flash);
+        }
     }
 }
 

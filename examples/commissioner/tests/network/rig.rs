@@ -37,6 +37,9 @@ const OWN: u16 = 127;
 /// The longest that it takes to deal with a network.
 const LONGEST: Time = Time::from_s(60);
 
+/// The length of a frame on the bus in the process.
+const FLIGHT_BITS: u64 = 123;
+
 /// The commissioner on the emulated bus, and a gateway to the bus in the process, at the bit rate of most slaves.
 pub struct Rig {
     pub network: Network,
@@ -49,12 +52,27 @@ pub struct Rig {
     requested_at: Time,
     /// The frames of the commissioner.
     pub sent: Vec<Frame>,
-    /// The number of frames of the commissioner after which its power fails.
-    pub cut_after: usize,
-    /// A slave, and the number of frames of the commissioner after which its power fails.
-    pub cut_slave_after: Option<(usize, usize)>,
-    /// A slave whose power fails at activate bit timing.
-    pub cut_slave_at_activation: Option<usize>,
+    /// The frames of the commissioner and of the slaves.
+    pub frames: Vec<Frame>,
+    /// The power cut to come.
+    pub cut: Option<Cut>,
+    /// The end of a power cut of the commissioner.
+    power_on_at: Option<Time>,
+}
+
+/// A power cut.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut {
+    pub party: Party,
+    /// The number of frames after which it begins.
+    pub after: usize,
+    pub span: Time,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Party {
+    Commissioner,
+    Slave(usize),
 }
 
 /// A commissioner with an empty table at this rate; those with different numbers have different serial numbers.
@@ -84,6 +102,13 @@ pub fn silent(address: Address, settings: Settings) -> NodeRig {
 
 fn board_of(device: Device) -> NodeRig {
     NodeRig::with_device(device.with_rescue(true), BoardFlash::blank(0), 0)
+}
+
+/// A new board that stays at its bit rate, as those of others do.
+pub fn plain_board(number: u32) -> NodeRig {
+    let settings = Settings::new(BitRate::Kbit125.into());
+    let device = device(address(1, number)).with_defaults(settings).with_heartbeat_ms(1_000);
+    NodeRig::with_device(device.with_rescue(false), BoardFlash::blank(0), 0)
 }
 
 /// Blank boards of one product.
@@ -129,9 +154,9 @@ impl Rig {
             answers,
             requested_at: Time::ZERO,
             sent,
-            cut_after: usize::MAX,
-            cut_slave_after: None,
-            cut_slave_at_activation: None,
+            frames: Vec::new(),
+            cut: None,
+            power_on_at: None,
         };
         // It comes to the bus.
         rig.run_for(Time::from_ms(50));
@@ -146,20 +171,65 @@ impl Rig {
         }
     }
 
+    /// Lets time pass until the commissioner has sent an LSS request with this command specifier.
+    pub fn run_until_request(&mut self, specifier: u8) {
+        let until = self.network.now() + LONGEST;
+        let is_it = |frame: &Frame| {
+            frame.cob_id() == lss::REQUEST_COB_ID && frame.data().first() == Some(&specifier)
+        };
+        while !self.sent.last().is_some_and(is_it) {
+            assert!(self.network.now() < until, "it sends no {specifier:02X}");
+            self.step(until);
+        }
+    }
+
     /// Lets time pass until a frame or something in a slave comes.
     fn step(&mut self, until: Time) {
+        // The gateway soon follows the commissioner to another bit rate.
+        let until = until.min(self.network.now() + Time::from_ms(2));
+        let until = self.power_on_at.map_or(until, |at| at.min(until));
         let next = Time::from_us(self.slaves.next_at().min(until.as_us() + 1)).min(until);
         let span = next.saturating_sub(self.network.now());
-        if let Some((_, frame)) = self.network.run_until_received(self.gateway, span) {
+        if let Some((_, frame)) = self.network.run_until_received(self.witness, span) {
+            self.note(from_the_wire(&frame).expect("a frame of CANopen"));
+        }
+        while let Some((_, frame)) = self.network.receive(self.gateway) {
             self.take(from_the_wire(&frame).expect("a frame of CANopen"));
         }
-        let now = self.network.now().as_us();
-        while let Some((_, frame)) = self.slaves.run(now) {
+        let now = self.network.now();
+        if self.power_on_at.take_if(|at| *at <= now).is_some() {
+            self.network.power_on(0);
+        }
+        while let Some((_, frame)) = self.slaves.run(now.as_us()) {
             self.network.send(self.gateway, on_the_wire(&frame));
         }
-        while self.network.receive(self.witness).is_some() {}
         self.follow_bit_rate();
         self.check();
+    }
+
+    /// Notes a frame on the bus, except for those of a client, and cuts the power behind it.
+    fn note(&mut self, frame: Frame) {
+        if [0x580 + OWN, 0x600 + OWN].contains(&frame.cob_id()) {
+            return;
+        }
+        self.frames.push(frame);
+        if let Some(cut) = self.cut.take_if(|cut| cut.after <= self.frames.len()) {
+            let now = self.network.now();
+            match cut.party {
+                Party::Commissioner => {
+                    self.network.power_off(0);
+                    self.power_on_at = Some(now + cut.span);
+                }
+                // It has received the frame, on the bus in the process, and not answered.
+                Party::Slave(slave) => {
+                    let at = now.as_us()
+                        + FLIGHT_BITS * 1_000 / u64::from(self.slaves.rate.kbit_per_s())
+                        + 50;
+                    self.slaves.plan(at, slave, Happening::PowerOff);
+                    self.slaves.plan(at + cut.span.as_us(), slave, Happening::PowerOn);
+                }
+            }
+        }
     }
 
     /// Passes a frame of the commissioner on.
@@ -173,35 +243,17 @@ impl Rig {
             self.requested_at = self.network.now();
         }
         self.slaves.send(frame);
-        if self.sent.len() >= self.cut_after {
-            self.cut_after = usize::MAX;
-            self.network.power_off(0);
-        }
-        if let Some((slave, after)) = self.cut_slave_after
-            && self.sent.len() >= after
-        {
-            self.cut_slave_after = None;
-            self.slaves.happen(slave, Happening::PowerOff);
-        }
-        if frame.data().first() == Some(&0x15)
-            && let Some(slave) = self.cut_slave_at_activation.take()
-        {
-            self.slaves.happen(slave, Happening::PowerOff);
-        }
     }
 
+    /// Puts the gateway at the bit rate of the commissioner if a slave is there, and else at that of most slaves.
     fn follow_bit_rate(&mut self) {
         let mut rates = BTreeMap::new();
         for slave in self.slaves.slaves.iter().filter(|slave| slave.is_powered) {
-            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 2;
+            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 1;
         }
-        // The commissioner decides if as many are at one rate as at another.
-        let own = self.network.board(0).chip().can(1).bit_rate();
-        if let Some(own) = BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own) {
-            *rates.entry(own).or_insert(0) += 1;
-        }
+        let own = self.own_rate().filter(|own| rates.is_empty() || rates.contains_key(own));
         let most = rates.into_iter().max_by_key(|(_, count)| *count);
-        if let Some((rate, _)) = most
+        if let Some(rate) = own.or(most.map(|(rate, _)| rate))
             && rate != self.slaves.rate
         {
             self.slaves.open(rate, true);
@@ -209,6 +261,16 @@ impl Rig {
                 self.network.adapter_mut(adapter).set_bit_rate(bit_per_s(rate));
             }
         }
+    }
+
+    fn own_rate(&mut self) -> Option<BitRate> {
+        let own = self.network.board(0).chip().can(1).bit_rate();
+        BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own)
+    }
+
+    /// The bit rate of the commissioner.
+    pub fn rate(&mut self) -> BitRate {
+        self.own_rate().expect("it takes part")
     }
 
     /// No two nodes have one node-ID.
@@ -235,9 +297,6 @@ impl Rig {
         loop {
             assert!(self.network.now() < until, "it comes to no end");
             self.run_for(Time::from_ms(100));
-            if !self.network.board(0).is_powered() {
-                return State::Asking;
-            }
             // A switch of the bit rate wants silence.
             if self.network.now() < self.requested_at + Time::from_ms(600) {
                 continue;
@@ -257,6 +316,8 @@ impl Rig {
     /// The state, unless the commissioner is silent, such as while it looks for the others at another rate.
     fn ask_state(&mut self) -> Option<State> {
         use State::*;
+        // One that came too late.
+        self.answers.clear();
         self.confirm([0x40, 0x00, 0x21, 1, 0, 0, 0, 0]);
         let until = self.network.now() + Time::from_ms(200);
         while self.answers.is_empty() && self.network.now() < until {
@@ -312,9 +373,16 @@ impl Rig {
 
     /// Asks for a bit rate, and lets the commissioner switch.
     pub fn switch(&mut self, rate: u16) -> State {
-        assert_eq!(self.download(0x2101, 0, &rate.to_le_bytes()), Ok(()));
-        self.run_for(Time::from_ms(100));
+        self.order(rate);
         self.settle()
+    }
+
+    /// Asks for a bit rate.
+    pub fn order(&mut self, rate: u16) {
+        let [low, high] = rate.to_le_bytes();
+        self.confirm([0x2B, 0x01, 0x21, 0, low, high, 0, 0]);
+        self.run_for(Time::from_ms(100));
+        self.answers.clear();
     }
 
     /// The rows of the table.

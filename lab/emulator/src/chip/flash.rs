@@ -8,8 +8,8 @@ mod timing;
 
 use std::ops::Range;
 
-use array::Array;
-pub use array::StuckBits;
+use array::Kind;
+pub use array::{Cells, Done, StuckBits};
 use options::Options;
 pub use staging::PowerCut;
 pub use timing::Timing;
@@ -51,12 +51,6 @@ const ECCR_ECCD: u32 = 1 << 31;
 const ECCR_ADDRESS: u32 = 0x7_FFFF;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Program,
-    Erase,
-}
-
 #[derive(Debug)]
 struct Operation {
     end: Time,
@@ -68,7 +62,7 @@ struct Operation {
 #[derive(Debug)]
 pub struct Flash {
     part: Part,
-    array: Array,
+    array: Cells,
     options: Options,
     timing: Timing,
     supply_mv: u32,
@@ -87,8 +81,11 @@ pub struct Flash {
     first_word: Option<(u32, u32)>,
     operation: Option<Operation>,
     operations: Vec<Range<Time>>,
+    done: Vec<Done>,
     power_cut: Option<PowerCut>,
     power_cut_at: Option<Time>,
+    /// The operation with which the failures begin.
+    failing_from: u64,
     failing_erases: u32,
     failing_erase_seed: u64,
     failing_programs: u32,
@@ -132,7 +129,7 @@ impl Flash {
         let (acr, cr) = Self::after_reset(part);
         Self {
             part,
-            array: Array::new(part),
+            array: Cells::new(part),
             options: Options::new(part),
             timing: variant.flash_timing,
             supply_mv: 3_300,
@@ -147,8 +144,10 @@ impl Flash {
             first_word: None,
             operation: None,
             operations: Vec::new(),
+            done: Vec::new(),
             power_cut: None,
             power_cut_at: None,
+            failing_from: 0,
             failing_erases: 0,
             failing_erase_seed: 0,
             failing_programs: 0,
@@ -368,7 +367,7 @@ impl Flash {
         };
         let before = self.array.bytes()[range.clone()].to_vec();
         self.array.erase(range.clone());
-        if self.failing_erases > 0 {
+        if self.fails(self.failing_erases) {
             self.failing_erases -= 1;
             let seed = self.failing_erase_seed.wrapping_add(self.operations());
             self.array.tear_erase(range.start, &before, seed);
@@ -395,7 +394,7 @@ impl Flash {
             return self.misuse_of_double_words();
         }
         let size = 1 << (self.cr >> 8 & 3);
-        if self.refused_programs > 0 {
+        if self.fails(self.refused_programs) {
             self.refused_programs -= 1;
             self.sr |= SR_PGSERR;
         } else if self.cr & CR_PG == 0 || self.cr & (CR_LOCK | CR_SER | CR_MER) != 0 {
@@ -408,7 +407,7 @@ impl Flash {
             let range = offset as usize..offset as usize + size as usize;
             let before = self.array.bytes()[range.clone()].to_vec();
             let mut programmed = value;
-            if self.failing_programs > 0 {
+            if self.fails(self.failing_programs) {
                 self.failing_programs -= 1;
                 // The lowest bit to be cleared stays set.
                 programmed |= !value & value.wrapping_add(1);
@@ -420,6 +419,11 @@ impl Flash {
         if self.cr & CR_PG != 0 { self.check_parallelism() } else { Ok(()) }
     }
 
+    /// Whether the next operation fails, if this number of failures is staged.
+    fn fails(&self, staged: u32) -> bool {
+        staged > 0 && self.operations() >= self.failing_from
+    }
+
     fn begin(&mut self, operation: Operation, now: Time) {
         if let Some(cut) = self.power_cut.filter(|cut| cut.operation == self.operations()) {
             let duration = operation.end - now;
@@ -427,6 +431,7 @@ impl Flash {
             self.power_cut_at = Some(now + part);
         }
         self.operations.push(now..operation.end);
+        self.done.push(self.array.done(operation.kind, operation.range.clone()));
         self.note_change(operation.range.clone());
         self.operation = Some(operation);
     }
@@ -438,20 +443,8 @@ impl Registers for Flash {
         self.advance(now);
         if let Some(operation) = self.operation.take() {
             let seed = self.power_cut.map_or(self.operations(), |cut| cut.seed);
-            let start = operation.range.start;
-            match operation.kind {
-                // What ECC makes of the cells is not known.
-                Kind::Program if self.part.family() == Family::G4 => {
-                    self.array.tear_unit(start, &operation.before, seed);
-                }
-                Kind::Program => {
-                    if self.cut_words_flip {
-                        self.array.add_marginal(start, &operation.before, seed);
-                    }
-                    self.array.tear_program(start, &operation.before, seed);
-                }
-                Kind::Erase => self.array.tear_erase(start, &operation.before, seed),
-            }
+            let Operation { range, before, kind, .. } = &operation;
+            self.array.tear(*kind, range.start, before, self.cut_words_flip, seed);
             self.note_change(operation.range);
         }
         if self.power_cut_at.take().is_some() {

@@ -15,7 +15,6 @@ use crate::{
         DefaultValue, Description, Entry, Name, Object, row,
     },
     sdo::Abort,
-    settings::parameters::{HEADER, Packer, Parameter},
 };
 
 /// The most heartbeat producers that a node watches.
@@ -128,8 +127,8 @@ impl<N: Numbers> Consumer<N> {
     /// # Errors
     /// Those of [`Producers::set`].
     pub fn write(&mut self, sub_index: u8, value: u32) -> Result<(), Abort> {
+        self.producers.set(sub_index, value)?;
         let at = usize::from(sub_index.wrapping_sub(1));
-        self.producers.set(at, value)?;
         if let Some(watch) = self.watches.as_mut().get_mut(at) {
             *watch = Watch::Waiting;
         }
@@ -143,37 +142,17 @@ impl<N: Numbers> Producers<N> {
         Self(producers)
     }
 
-    /// The greatest number of bytes that the stored entries take.
-    pub const STORED_LEN: usize = N::PRODUCERS * (HEADER + 4);
-
-    /// Packs the entries: one that is not stored is 0, unless it is among the first ones, which are `declared`.
-    pub fn save(&self, declared: usize, to: &mut Packer<'_>) {
-        let is_packed = |(sub_index, producer): &(u8, &Producer)| {
-            usize::from(*sub_index) <= declared || producer.value() != 0
-        };
-        for (sub_index, producer) in (1..).zip(self.0.as_ref()).filter(is_packed) {
-            let value = &producer.value().to_le_bytes();
-            to.put(&Parameter { index: INDEX, sub_index, data_type: Unsigned32 as u8, value });
-        }
+    /// The values, that of sub-index 1 first.
+    pub fn values(&self) -> impl Iterator<Item = u32> {
+        self.0.as_ref().iter().map(Producer::value)
     }
 
-    /// Takes a stored parameter, if it is an entry and is legal.
-    pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
-        const U32: u8 = Unsigned32 as u8;
-        match (parameter.index, parameter.sub_index, parameter.data_type) {
-            (INDEX, sub_index @ 1.., U32) => {
-                let value = parameter.value.try_into().ok().map(u32::from_le_bytes)?;
-                self.set(usize::from(sub_index).wrapping_sub(1), value).ok()
-            }
-            _ => None,
-        }
-    }
-
-    /// Sets the entry with number `at`.
+    /// Sets a sub-index.
     ///
     /// # Errors
     /// [`Abort::Incompatible`] if another entry watches the same node, [`Abort::InvalidValue`] for a reserved bit.
-    fn set(&mut self, at: usize, value: u32) -> Result<(), Abort> {
+    pub fn set(&mut self, sub_index: u8, value: u32) -> Result<(), Abort> {
+        let at = usize::from(sub_index.wrapping_sub(1));
         if value >> 24 != 0 {
             return Err(Abort::InvalidValue);
         }

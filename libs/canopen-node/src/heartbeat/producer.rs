@@ -1,31 +1,8 @@
-//! The heartbeat producer 1017h: the times at which heartbeats are due, and the stored heartbeat time.
+//! The heartbeat producer 1017h: the times at which heartbeats are due.
 
 use core::mem;
 
-use crate::{
-    Instant,
-    object_dictionary::DataType,
-    settings::parameters::{HEADER, Packer, Parameter},
-};
-
-const INDEX: u16 = 0x1017;
-const DATA_TYPE: u8 = DataType::Unsigned16 as u8;
-/// The number of bytes that the stored heartbeat time takes.
-pub const STORED_LEN: usize = HEADER + 2;
-
-/// Packs the heartbeat time in milliseconds.
-pub fn save(period_ms: u16, to: &mut Packer<'_>) {
-    let value = &period_ms.to_le_bytes();
-    to.put(&Parameter { index: INDEX, sub_index: 0, data_type: DATA_TYPE, value });
-}
-
-/// The heartbeat time in a stored parameter, if it is one.
-pub fn from_stored(parameter: &Parameter<'_>) -> Option<u16> {
-    match (parameter.index, parameter.sub_index, parameter.data_type, parameter.value) {
-        (INDEX, 0, DATA_TYPE, &[low, high]) => Some(u16::from_le_bytes([low, high])),
-        _ => None,
-    }
-}
+use crate::Instant;
 
 /// The times at which heartbeats are due.
 #[derive(Clone, Debug)]

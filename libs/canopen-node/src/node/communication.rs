@@ -1,16 +1,13 @@
-//! PDOs and heartbeat consumer, and the parameters of communication that 1010h stores: 1005h to 1007h, 1014h to
-//! 1017h, 1019h, 1029h, and each PDO.
+//! PDOs and heartbeat consumer, and a store of their parameters by 1010h.
 
 use core::mem;
 
+use super::stored::Configuration;
 use crate::{
     Application, Frame, Instant, NodeId,
     count::Declares,
     emergency::{self, Emergency},
-    heartbeat::{
-        self,
-        consumer::{self, Consumer, Producers},
-    },
+    heartbeat::consumer::{self, Consumer},
     nmt::{ErrorBehaviour, slave::NmtSlave},
     numbers::Numbers,
     object_dictionary::{DefaultValue, Description, Entry, Object},
@@ -30,16 +27,6 @@ pub(super) struct Communication<N: Numbers> {
     staged: Option<Configuration<N>>,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
-}
-
-/// The parameters that 1010h stores.
-#[derive(Clone, Copy, Debug)]
-struct Configuration<N: Numbers> {
-    pdos: pdo::Configuration<N>,
-    producers: Producers<N>,
-    heartbeat_ms: u16,
-    error_behaviour: ErrorBehaviour,
-    emergency: emergency::Configuration,
 }
 
 impl<N: Numbers> Communication<N> {
@@ -187,11 +174,7 @@ impl<N: Numbers> Communication<N> {
     {
         // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
         let _ = Configuration::<N>::declared::<A>(0);
-        pdo::Configuration::<N>::STORED_LEN
-            + Producers::<N>::STORED_LEN
-            + heartbeat::producer::STORED_LEN
-            + ErrorBehaviour::STORED_LEN
-            + emergency::Configuration::STORED_LEN
+        Configuration::<N>::STORED_LEN
     }
 
     /// The producer heartbeat time to which a reset returns, in milliseconds.
@@ -251,51 +234,5 @@ impl<N: Numbers> Communication<N> {
         {
             self.persistent = staged;
         }
-    }
-}
-
-impl<N: Numbers> Configuration<N> {
-    /// The parameters of a new device with this producer heartbeat time.
-    const fn declared<A: Application>(heartbeat_ms: u16) -> Self
-    where
-        N: Declares<A>,
-    {
-        const {
-            assert!(
-                N::TPDOS + N::RPDOS + N::PRODUCERS == 0 || !A::OBJECTS.is_empty(),
-                "process data and the heartbeat consumer need an application with objects"
-            );
-        }
-        Self {
-            pdos: pdo::Configuration::new(N::DECLARED_TPDOS, N::DECLARED_RPDOS),
-            producers: Producers::new(N::DECLARED_PRODUCERS),
-            heartbeat_ms,
-            error_behaviour: A::ERROR_BEHAVIOUR,
-            emergency: emergency::Configuration::DEFAULT,
-        }
-    }
-
-    fn save<A: Application>(&self, to: &mut Packer<'_>) {
-        self.pdos.save_sync(to);
-        heartbeat::producer::save(self.heartbeat_ms, to);
-        self.error_behaviour.save(A::ERROR_BEHAVIOUR, to);
-        self.emergency.save(to);
-        self.producers.save(A::WATCHED.len(), to);
-        self.pdos.save(to);
-    }
-
-    fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
-        if let Some(heartbeat_ms) = heartbeat::producer::from_stored(parameter) {
-            self.heartbeat_ms = heartbeat_ms;
-            return Some(());
-        }
-        if let Some(behaviour) = ErrorBehaviour::from_stored(parameter) {
-            self.error_behaviour = behaviour;
-            return Some(());
-        }
-        self.emergency
-            .take(parameter)
-            .or_else(|| self.producers.take(parameter))
-            .or_else(|| self.pdos.take(parameter, objects))
     }
 }

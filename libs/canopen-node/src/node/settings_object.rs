@@ -73,10 +73,9 @@ impl Written {
     /// # Errors
     /// [`Abort::InvalidValue`] where LSS refuses it.
     pub fn set_bit_rate(&mut self, lss: &mut StateMachine, kbit_per_s: u16) -> Result<(), Abort> {
-        let fixed = || BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s() == kbit_per_s);
         let rate = match kbit_per_s {
             AUTOMATIC => Some(BitRateSetting::Automatic),
-            _ => fixed().map(BitRateSetting::Fixed),
+            _ => BitRate::from_kbit_per_s(kbit_per_s).map(BitRateSetting::Fixed),
         };
         let rate = rate.filter(|rate| lss.configure_bit_rate(*rate)).ok_or(Abort::InvalidValue)?;
         self.bit_rate = Some(rate);

@@ -13,31 +13,24 @@
 //! mapped, the PDO is as the application declares it.
 
 use super::{
-    Configuration, Pdos,
+    Configuration,
     mapping::{Direction, MAX_MAPPED},
     parameters::Pdo,
     tables::{RPDO_MAPPING, RPDO_PARAMETER, TPDO_MAPPING, TPDO_PARAMETER},
 };
 use crate::{
     numbers::Numbers,
-    object_dictionary::{DataType, Entry},
+    object_dictionary::Entry,
     settings::parameters::{HEADER, Packer, Parameter},
-    sync::Sync,
 };
 
 /// The data type of a stored PDO: PDO_COMMUNICATION_PARAMETER (CiA 301, 7.4.8.1), here followed by the mapping.
 const PDO: u8 = 0x20;
-/// The sub-index of the event timer of an RPDO, which is stored behind the PDO unless it is 0.
-const EVENT_TIMER: u8 = 5;
-const U16: u8 = DataType::Unsigned16 as u8;
 
 impl<N: Numbers> Configuration<N> {
     /// The greatest number of bytes that the stored parameters take.
     pub const STORED_LEN: usize = {
-        let of_sync = if Pdos::<N>::IS_USED { Sync::STORED_LEN } else { 0 };
-        of_sync
-            + N::RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
-            + N::RPDOS * (HEADER + 2)
+        N::RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
             + N::TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
 
@@ -47,53 +40,41 @@ impl<N: Numbers> Configuration<N> {
         pdos.for_each(|pdo| pdo.mapping.remove_unused());
     }
 
-    /// Packs the parameters of SYNC.
-    pub fn save_sync(&self, to: &mut Packer<'_>) {
-        if Pdos::<N>::IS_USED {
-            self.sync.save(to);
-        }
+    /// The RPDOs, that of 1400h first.
+    pub fn rpdos(&self) -> &[Pdo] {
+        self.rpdos.as_ref()
     }
 
-    /// Packs the parameters of the PDOs.
+    /// The RPDO whose communication parameter has this index.
+    pub fn rpdo(&mut self, index: u16) -> Option<&mut Pdo> {
+        self.rpdos.as_mut().get_mut(usize::from(index.checked_sub(RPDO_PARAMETER)?))
+    }
+
+    /// Packs the PDOs, but for the event timers of RPDOs.
     pub fn save(&self, to: &mut Packer<'_>) {
         for (index, rpdo) in (RPDO_PARAMETER..).zip(self.rpdos.as_ref()) {
             put_pdo(to, index, rpdo, Direction::Receive);
-            if rpdo.event_timer_ms != 0 {
-                let value = &rpdo.event_timer_ms.to_le_bytes();
-                to.put(&Parameter { index, sub_index: EVENT_TIMER, data_type: U16, value });
-            }
         }
         for (index, tpdo) in (TPDO_PARAMETER..).zip(self.tpdos.as_ref()) {
             put_pdo(to, index, tpdo, Direction::Transmit);
         }
     }
 
-    /// Takes a stored parameter, if it is one of SYNC or a PDO and is legal. A PDO with a value that cannot be mapped
-    /// stays as it is.
+    /// Takes a stored PDO, if it is legal. One with a value that cannot be mapped stays as it is.
     pub fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         match (index, sub_index, data_type) {
             (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
-                let rpdo =
-                    self.rpdos.as_mut().get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
-                *rpdo = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
-                Some(())
-            }
-            (RPDO_PARAMETER..RPDO_MAPPING, EVENT_TIMER, U16) => {
-                let rpdo =
-                    self.rpdos.as_mut().get_mut(usize::from(index.wrapping_sub(RPDO_PARAMETER)))?;
-                rpdo.event_timer_ms = value.try_into().ok().map(u16::from_le_bytes)?;
-                Some(())
+                *self.rpdo(index)? = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
             }
             (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
                 let tpdo =
                     self.tpdos.as_mut().get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
                 *tpdo = Pdo::from_stored(words(value)?, Direction::Transmit, objects)?;
-                Some(())
             }
-            _ if Pdos::<N>::IS_USED => self.sync.take(parameter),
-            _ => None,
+            _ => return None,
         }
+        Some(())
     }
 }
 

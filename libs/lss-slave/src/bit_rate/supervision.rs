@@ -409,7 +409,7 @@ impl Supervision {
     }
 
     /// Takes part at home until the next error.
-    fn stay_home(&mut self) {
+    pub fn stay_home(&mut self) {
         if self.is_listening() {
             self.step = Some(Step::TakePart(self.home));
         }

@@ -60,6 +60,27 @@ impl From<Address> for [u32; 4] {
 }
 
 impl Address {
+    /// The four numbers in their order, each from its lowest byte on.
+    pub const fn to_le_bytes(self) -> [u8; 16] {
+        let Self { vendor_id, product_code, revision_number, serial_number } = self;
+        let all = vendor_id as u128
+            | (product_code as u128) << 32
+            | (revision_number as u128) << 64
+            | (serial_number as u128) << 96;
+        all.to_le_bytes()
+    }
+
+    /// The LSS address in bytes as [`to_le_bytes`](Self::to_le_bytes) makes them.
+    pub const fn from_le_bytes(bytes: [u8; 16]) -> Self {
+        let all = u128::from_le_bytes(bytes);
+        Self {
+            vendor_id: all as u32,
+            product_code: (all >> 32) as u32,
+            revision_number: (all >> 64) as u32,
+            serial_number: (all >> 96) as u32,
+        }
+    }
+
     /// Derives a serial number from the chip's unique id, for a device without one of its own. FNV-1a spreads ids that
     /// differ in a few bits over all 32-bit numbers. Two of 1000 devices have equal numbers with a probability of 1 in
     /// 8600.

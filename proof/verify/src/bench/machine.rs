@@ -1,7 +1,6 @@
 //! A program of `proof/bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
 
 use std::{
-    ops::AddAssign,
     path::Path,
     sync::{Arc, Mutex},
 };
@@ -24,20 +23,8 @@ const PATIENCE: u64 = 1_000_000;
 /// The bytes of a mailbox (`Mailbox` in `proof/bench/src/lib.rs`): identifier and request, length from 4 on, data from 8 on.
 type Mailbox = [u8; 16];
 
-/// The work of the CPU.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Cost {
-    pub instructions: u64,
-    /// Core clock cycles, with a flash without wait states.
-    pub cycles: u64,
-}
-
-impl AddAssign for Cost {
-    fn add_assign(&mut self, other: Self) {
-        self.instructions += other.instructions;
-        self.cycles += other.cycles;
-    }
-}
+/// The number of executed instructions.
+pub type Cost = u64;
 
 /// The result of a received frame.
 #[derive(Clone, Copy, Debug)]
@@ -109,13 +96,11 @@ impl Machine {
     fn run_to(&mut self, symbol: &str, mut watch: impl FnMut(&Self, Cost)) -> anyhow::Result<Cost> {
         const STEP: Time = Time::from_ps(1);
         let address = address(&self.image, symbol);
-        let started = self.engine.cycles();
-        let mut cost = Cost::default();
+        let mut cost = 0;
         while self.engine.pc() != address {
             self.engine.run(self.engine.now() + STEP);
-            cost.instructions += 1;
-            cost.cycles = self.engine.cycles() - started;
-            if cost.instructions > PATIENCE || self.engine.lockup().is_some() {
+            cost += 1;
+            if cost > PATIENCE || self.engine.lockup().is_some() {
                 bail!("the program hangs at {:#010x}", self.engine.pc());
             }
             watch(self, cost);

@@ -1,7 +1,8 @@
-//! `lss update`: installs a program on one board after the other, each with a way back.
+//! `lss update`: installs a program on one board after the other, each with a way back. Once it runs on one, the next
+//! boards clear ahead.
 
 use can_bus::sdo;
-use canopen_node::NodeId;
+use canopen_node::{BitRate, NodeId};
 use program_update::header::HEADER_LEN;
 use serde::Serialize;
 
@@ -103,23 +104,45 @@ fn install_all(
     boards: &mut [Board],
     is_quiet: bool,
 ) -> Result<(), Failure> {
-    let all = boards.iter().filter(|board| board.why.is_none()).count();
-    let mut is_bad = false;
-    let fitting = boards.iter_mut().filter(|board| board.why.is_none());
-    for (number, board) in (1..).zip(fitting) {
-        let Some(id) = board.row.node_id.and_then(NodeId::new) else { continue };
+    let mut fitting: Vec<(NodeId, &mut Board)> = boards
+        .iter_mut()
+        .filter(|board| board.why.is_none())
+        .filter_map(|board| Some((board.row.node_id.and_then(NodeId::new)?, board)))
+        .collect();
+    let all = fitting.len();
+    let who = |at: usize, id: NodeId| format!("node {} ({} of {all})", id.get(), at + 1);
+    let ids: Vec<NodeId> = fitting.iter().map(|(id, _)| *id).collect();
+    let ahead = ahead(file, session.bus.rate());
+    // The number of boards that had their turn or were let clear, and those of the latter.
+    let (mut begun, mut clearing) = (0, Vec::new());
+    let (mut is_proven, mut is_bad) = (false, false);
+    for (at, (id, board)) in fitting.iter_mut().enumerate() {
+        let who_it_is = who(at, *id);
         if is_bad {
-            board.why = Some("left alone, since the program has failed on another board".into());
+            let mut why = "left alone, since the program has failed on another board".to_owned();
+            if clearing.contains(id) {
+                why += ". Now ";
+                why += Loader::new(session, *id, &who_it_is).go_back()?;
+            }
+            board.why = Some(why);
             continue;
         }
-        let who = format!("node {} ({number} of {all})", id.get());
-        (board.outcome, board.why) = match install(session, file, id, &who) {
+        begun = begun.max(at + 1);
+        while is_proven && begun < all.min(at + 1 + ahead) {
+            let next = ids[begun];
+            if begin(session, file, next, &who(begun, next))? {
+                clearing.push(next);
+            }
+            begun += 1;
+        }
+        (board.outcome, board.why) = match install(session, file, *id, &who_it_is) {
             Ok(outcome) => outcome,
             Err(failure) => (Outcome::Failed, Some(failure.of_board()?)),
         };
         is_bad = board.outcome == Outcome::ProgramFailed;
-        let was_operational = board.row.state == Some("operational");
+        is_proven |= board.why.is_none();
         if !is_quiet && board.why.is_none() {
+            let was_operational = board.row.state == Some("operational");
             session.progress.clear();
             let version = program_update::header::text_of(&file.header.version);
             let before = board.row.version.as_deref().unwrap_or("-");
@@ -136,6 +159,30 @@ fn install_all(
         }
     }
     Ok(())
+}
+
+/// How many boards clear while another one takes the program: a clear takes as long as some downloads, and a loader
+/// that is not asked for 60 s goes back.
+fn ahead(file: &UpdateFile, rate: BitRate) -> usize {
+    // A segment has 7 bytes in some 130 bits.
+    let download_ms = file.bytes.len() * 19 / usize::from(rate.kbit_per_s());
+    match download_ms {
+        ..2_000 => 4,
+        2_000..20_000 => 1,
+        _ => 0,
+    }
+}
+
+/// Lets a board clear whose turn comes soon; returns whether it may have begun. What fails is told in its turn.
+fn begin(
+    session: &mut Session<'_>,
+    file: &UpdateFile,
+    id: NodeId,
+    who: &str,
+) -> Result<bool, Failure> {
+    let mut loader = Loader::new(session, id, who);
+    let outcome = loader.begin(file.header.crc, &file.bytes[..HEADER_LEN]);
+    outcome.or_else(|failure| failure.of_board().map(|_| true))
 }
 
 /// Installs the file on a board; goes back to the program before if that fails.

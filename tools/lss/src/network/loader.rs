@@ -131,6 +131,20 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
     }
 
+    /// Lets the node clear, unless it has this program; returns whether it does. Does not wait for the end.
+    pub fn begin(&mut self, crc: u32, header: &[u8]) -> Result<bool, Failure> {
+        let installed = self.installed()?;
+        if installed.crc == crc {
+            return Ok(false);
+        }
+        if installed.runs {
+            self.stop()?;
+        }
+        self.check(header)?;
+        self.ask_to_clear()?;
+        Ok(true)
+    }
+
     /// Erases the program, and downloads another one: by blocks, and if that fails, by segments.
     pub fn install(&mut self, file: &[u8]) -> Result<(), Failure> {
         for by_blocks in [true, false] {
@@ -239,6 +253,12 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     fn clear(&mut self) -> Result<(), Failure> {
+        self.ask_to_clear()?;
+        self.idle("clearing")?;
+        self.check_status("it does not clear")
+    }
+
+    fn ask_to_clear(&mut self) -> Result<(), Failure> {
         let mut outcome = Ok(());
         for _ in 0..ATTEMPTS {
             outcome = self.write(CONTROL, CLEAR)?;
@@ -246,11 +266,10 @@ impl<'s, 'a> Loader<'s, 'a> {
                 break;
             }
         }
-        if let Err(why) = outcome {
-            return self.fail("it does not clear", &why);
+        match outcome {
+            Ok(()) => Ok(()),
+            Err(why) => self.fail("it does not clear", &why),
         }
-        self.idle("clearing")?;
-        self.check_status("it does not clear")
     }
 
     fn download(&mut self, file: &[u8], by_blocks: bool) -> Result<Result<(), String>, Failure> {

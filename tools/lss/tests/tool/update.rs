@@ -11,7 +11,7 @@ use serde_json::Value;
 use testkit::node_rig::{ADDRESS, device};
 
 use crate::in_process::Wire;
-use fleet::{Fleet, crc_of, new, old, write};
+use fleet::{Fault, Fleet, crc_of, new, old, write};
 use program::{Kind, RUN, file_of, file_with};
 
 /// Whether a frame is a request to write 1F51h.
@@ -46,6 +46,37 @@ fn a_board_gets_a_program_which_is_confirmed() {
     ];
     assert!(order.is_sorted(), "{order:?}");
     fleet.assert_waiting();
+}
+
+#[test]
+fn once_the_program_runs_on_a_board_the_next_ones_clear_ahead() {
+    let fleet = Fleet::new(&[5, 6, 7]);
+    assert_eq!(fleet.update(&new(), "").code, 0);
+    assert_eq!(fleet.kept(), [Some(crc_of(&new())); 3]);
+    let sent = fleet.sent();
+    let control = |node: u16, value| {
+        let is_it = |frame: &Frame| frame.cob_id() == 0x600 + node && is_control(frame, value);
+        sent.iter().position(is_it).expect("it was sent")
+    };
+    let order = [control(5, 0x80), control(7, 3), control(6, 1), control(7, 1)];
+    assert!(order.is_sorted(), "{order:?}");
+    let erases = [0, 1, 2].map(|board| fleet.board(board).chip.borrow().erases);
+    assert_eq!(erases[1..], [erases[0]; 2], "none clears twice");
+}
+
+#[test]
+fn a_board_that_has_cleared_ahead_goes_back_when_the_program_fails_on_another() {
+    let fleet = Fleet::new(&[5, 6, 7]);
+    assert_eq!(fleet.update(&new(), "").code, 0);
+    let is_confirm = |frame: &Frame| frame.cob_id() == 0x606 && is_control(frame, 0x80);
+    let confirm = fleet.sent().iter().position(is_confirm).expect("it was sent");
+    let fleet = Fleet::new(&[5, 6, 7]);
+    fleet.fail_at(confirm, Fault::FlashFails(1));
+    let outcome = fleet.update(&new(), "");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.contains("cannot be confirmed"), "{}", outcome.error);
+    assert_eq!(fleet.kept(), [Some(crc_of(&new())), None, Some(crc_of(&old()))]);
+    assert_ne!(fleet.board(2).chip.borrow().erases, 0, "it has cleared");
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn check_pairs(part: Part, controller: usize, pairs: &[[(Pin, u32); 2]]) -> anyh
     );
     let manifest = format!(
         "[package]\nname = \"pins\"\nversion = \"0.1.0\"\nedition = \"2024\"\n\n[workspace]\n\n[dependencies]\n\
-         canopen-stm32f4 = {{ path = \"{}/stm32f4\", features = [\"{}\"] }}\n\
+         canopen-stm32f4 = {{ path = \"{}/boards/stm32f4\", features = [\"{}\"] }}\n\
          stm32f4xx-hal = {{ version = \"0.23.0\", features = [\"can\"] }}\n",
         workspace().display(),
         part.name(),

@@ -12,11 +12,26 @@ pub struct StuckBits {
     pub value: u8,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Program,
+    Erase,
+}
+
+/// An operation that was done on cells: others of the same content can repeat it.
+#[derive(Clone, Debug)]
+pub struct Done {
+    kind: Kind,
+    range: Range<usize>,
+    /// What was programmed.
+    bytes: Vec<u8>,
+}
+
 /// The length of a page of an STM32G4.
 const PAGE: u32 = 2 * 1024;
 
 /// Cells between two values, because their programming was interrupted.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Marginal {
     start: usize,
     before: Vec<u8>,
@@ -25,8 +40,8 @@ struct Marginal {
 }
 
 /// The cells of the whole main memory.
-#[derive(Debug)]
-pub struct Array {
+#[derive(Clone, Debug)]
+pub struct Cells {
     part: Part,
     bytes: Vec<u8>,
     stuck: Vec<StuckBits>,
@@ -35,7 +50,7 @@ pub struct Array {
     double_errors: BTreeSet<u32>,
 }
 
-impl Array {
+impl Cells {
     /// An erased flash.
     pub fn new(part: Part) -> Self {
         let bytes = vec![0xFF; part.flash_size() as usize];
@@ -130,7 +145,7 @@ impl Array {
     }
 
     /// Marks cells whose programming will be interrupted as between two values.
-    pub fn add_marginal(&mut self, start: usize, before: &[u8], seed: u64) {
+    fn add_marginal(&mut self, start: usize, before: &[u8], seed: u64) {
         let programmed = self.bytes[start..start + before.len()].to_vec();
         let (before, random) = (before.to_vec(), Random(!seed));
         self.marginal.push(Marginal { start, before, programmed, random });
@@ -175,8 +190,56 @@ impl Array {
         ranges
     }
 
+    /// An operation that has just been done.
+    pub(super) fn done(&self, kind: Kind, range: Range<usize>) -> Done {
+        let bytes = match kind {
+            Kind::Program => self.bytes[range.clone()].to_vec(),
+            Kind::Erase => Vec::new(),
+        };
+        Done { kind, range, bytes }
+    }
+
+    /// Repeats an operation that cells of this content have done.
+    pub fn repeat(&mut self, done: &Done) {
+        match done.kind {
+            Kind::Program => self.program(done.range.start as u32, &done.bytes),
+            Kind::Erase => self.erase(done.range.clone()),
+        }
+    }
+
+    /// Repeats it up to a power cut; then a word may read differently at each power-on, if cut words flip.
+    pub fn repeat_until_cut(&mut self, done: &Done, cut_words_flip: bool, seed: u64) {
+        let before = self.bytes[done.range.clone()].to_vec();
+        self.repeat(done);
+        self.tear(done.kind, done.range.start, &before, cut_words_flip, seed);
+    }
+
+    /// The result of an interrupted operation.
+    pub(super) fn tear(
+        &mut self,
+        kind: Kind,
+        start: usize,
+        before: &[u8],
+        cut_words_flip: bool,
+        seed: u64,
+    ) {
+        match kind {
+            // What ECC makes of the cells is not known.
+            Kind::Program if self.part.family() == Family::G4 => {
+                self.tear_unit(start, before, seed);
+            }
+            Kind::Program => {
+                if cut_words_flip {
+                    self.add_marginal(start, before, seed);
+                }
+                self.tear_program(start, before, seed);
+            }
+            Kind::Erase => self.tear_erase(start, before, seed),
+        }
+    }
+
     /// The result of an interrupted program operation: each bit to be cleared may or may not be.
-    pub fn tear_program(&mut self, start: usize, before: &[u8], seed: u64) {
+    fn tear_program(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
         for (cell, &old) in self.bytes[start..].iter_mut().zip(before) {
             let cleared = old & !*cell;
@@ -187,7 +250,7 @@ impl Array {
 
     /// The result of an interrupted program operation with ECC: the old content, the new one, or a double error with any
     /// content.
-    pub fn tear_unit(&mut self, start: usize, before: &[u8], seed: u64) {
+    fn tear_unit(&mut self, start: usize, before: &[u8], seed: u64) {
         let mut random = Random(seed);
         let cells = &mut self.bytes[start..start + before.len()];
         match random.next() % 3 {
@@ -226,7 +289,7 @@ impl Array {
 }
 
 /// SplitMix64: small, seeded, the same on every host.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Random(u64);
 
 impl Random {

@@ -16,7 +16,7 @@ impl Flash {
     pub(super) fn program_double_word(&mut self, offset: u32, width: Width, value: u32, now: Time) {
         let first = self.first_word.take();
         let is_enabled = self.cr & (CR_PG | CR_LOCK | CR_SER | CR_MER) == CR_PG;
-        let error = if self.refused_programs > 0 {
+        let error = if self.fails(self.refused_programs) {
             self.refused_programs -= 1;
             SR_PGSERR
         } else if !is_enabled || self.sr & ERRORS != 0 {
@@ -46,7 +46,7 @@ impl Flash {
             return SR_PROGERR;
         }
         let mut programmed = value;
-        if self.failing_programs > 0 {
+        if self.fails(self.failing_programs) {
             self.failing_programs -= 1;
             // The lowest bit to be cleared stays set.
             programmed |= !value & value.wrapping_add(1);

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Flash, StuckBits, Timing};
+use super::{Cells, Done, Flash, StuckBits, Timing};
 use crate::Time;
 
 /// A staged failure: the supply is cut in the middle of an operation.
@@ -61,6 +61,11 @@ impl Flash {
         self.note_change(offset as usize..offset as usize + 8);
     }
 
+    /// Lets the failures that are staged begin with the operation of this number.
+    pub fn fail_from(&mut self, operation: u64) {
+        self.failing_from = operation;
+    }
+
     /// Makes the next `count` erases leave random content, made from `seed`, in the sector, without an error flag.
     pub fn fail_erases(&mut self, count: u32, seed: u64) {
         self.failing_erases = count;
@@ -75,6 +80,22 @@ impl Flash {
     /// Makes each of the next `count` program operations end at once with PGSERR, without an effect.
     pub fn refuse_programs(&mut self, count: u32) {
         self.refused_programs = count;
+    }
+
+    /// The cells as they are.
+    pub fn cells(&self) -> Cells {
+        self.array.clone()
+    }
+
+    /// Puts the cells of another flash of the same part in place of these, while the power is off.
+    pub fn set_cells(&mut self, cells: Cells) {
+        self.note_change(0..cells.bytes().len());
+        self.array = cells;
+    }
+
+    /// Each operation since the board was made.
+    pub fn done(&self) -> &[Done] {
+        &self.done
     }
 
     /// The number of program and erase operations started since the board was made.

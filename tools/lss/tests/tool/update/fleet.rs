@@ -17,7 +17,7 @@ use can_bus::{
     stop::Stop,
 };
 use canopen_node::{Action, BitRate, Device, Frame};
-use program_update::start::Cause;
+use program_update::{FlashError, start::Cause};
 use testkit::{
     cargo,
     flash::BoardFlash,
@@ -53,6 +53,8 @@ pub enum Fault {
     AdapterGone,
     /// The power of the board with this number fails.
     PowerCut(usize),
+    /// From then on its flash does.
+    FlashFails(usize),
 }
 
 /// The boards, the bus, and the tool's adapter.
@@ -282,6 +284,9 @@ impl Adapter for Fleet {
                 return self.assert_adapter();
             }
             Some((_, Fault::PowerCut(board))) => self.power_off(board),
+            Some((_, Fault::FlashFails(board))) => {
+                self.board(board).chip.borrow_mut().fault = Some(FlashError::Failed);
+            }
             None => {}
         }
         let record = self.record.borrow();
