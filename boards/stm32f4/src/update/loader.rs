@@ -251,7 +251,9 @@ impl Board {
             granted: LONGEST_BLOCK,
             held_since: None,
         };
-        let node = Node::with_application(device, settings, loader);
+        let mut node = Node::with_application(device, settings, loader);
+        let bit_rate = node.bit_rate();
+        node.application_mut().handle(Event::BitRate(bit_rate));
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
         let work = Work {
