@@ -185,17 +185,19 @@ fn each_nth_sync_asks_for_a_tpdo_of_type_n() {
 
 #[test]
 fn the_sync_with_the_start_value_is_regarded_as_the_first() {
-    let mut board = board();
-    set(&mut board, 0x1019, 0, 10, 1);
-    set(&mut board, 0x1801, 1, 0x8000_02C0, 4);
-    set(&mut board, 0x1801, 2, 2, 1);
-    set(&mut board, 0x1801, 6, 4, 1);
-    set(&mut board, 0x1801, 1, 0x2C0, 4);
-    board.nmt("01 40");
-    let sent: Vec<_> = (1..=10)
-        .filter(|counter| !receive(&mut board, &format!("080: {counter:02X}")).0.is_empty())
-        .collect();
-    assert_eq!(sent, [5, 7, 9]);
+    for (transmission_type, expected) in [(1, vec![4, 5, 6, 7, 8, 9, 10]), (2, vec![5, 7, 9])] {
+        let mut board = board();
+        set(&mut board, 0x1019, 0, 10, 1);
+        set(&mut board, 0x1801, 1, 0x8000_02C0, 4);
+        set(&mut board, 0x1801, 2, transmission_type, 1);
+        set(&mut board, 0x1801, 6, 4, 1);
+        set(&mut board, 0x1801, 1, 0x2C0, 4);
+        board.nmt("01 40");
+        let sent: Vec<_> = (1..=10)
+            .filter(|counter| !receive(&mut board, &format!("080: {counter:02X}")).0.is_empty())
+            .collect();
+        assert_eq!(sent, expected, "type {transmission_type}");
+    }
 }
 
 #[test]

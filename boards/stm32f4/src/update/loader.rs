@@ -3,8 +3,8 @@
 use core::mem::MaybeUninit;
 
 use canopen_node::{
-    Application, Confirmation, Count, Device, Instant, Node,
-    application::Dictionary,
+    Application, BitRate, Confirmation, Count, Device, Instant, Node,
+    application::{Dictionary, Event},
     lss::StoreError,
     nmt,
     object_dictionary::{Description, Entry},
@@ -43,8 +43,15 @@ use crate::{
 /// The words that wait for the flash.
 const RING: usize = 1024;
 
-/// The segments of a block while the flash keeps up.
-const BLOCK_SIZE: u8 = 127;
+/// The most segments of a block.
+const LONGEST_BLOCK: u8 = 127;
+
+/// The segments of a block at this bit rate, while the flash keeps up. None takes more than 85 ms: some clients wait only
+/// 100 ms from its begin for the answer.
+fn block_size(bit_rate: BitRate) -> u8 {
+    (u32::from(bit_rate.kbit_per_s()) * 5 / 8).min(LONGEST_BLOCK.into()) as u8
+}
+
 /// The time for which an answer is held back while the flash is behind, and the indicators' step of 50 ms at most: some
 /// clients wait for 100 ms.
 const HOLD_MICROS: u32 = 30_000;
@@ -70,6 +77,8 @@ pub struct Loader {
     owed: Option<Confirmation>,
     /// An SDO answer has been given that nobody may have acknowledged.
     is_answering: bool,
+    /// The segments of a block while the flash keeps up.
+    block_size: u8,
     /// The segments that the client may send.
     granted: u8,
     /// Since when an answer is held back, since the flash is behind.
@@ -109,6 +118,12 @@ impl Application for Loader {
     fn program(&mut self) -> Option<&mut dyn canopen_node::Program> {
         Some(self)
     }
+
+    fn handle(&mut self, event: Event) {
+        if let Event::BitRate(bit_rate) = event {
+            self.block_size = block_size(bit_rate);
+        }
+    }
 }
 
 impl canopen_node::Program for Loader {
@@ -137,7 +152,7 @@ impl canopen_node::Program for Loader {
     }
 
     fn grant(&mut self) -> u8 {
-        self.granted = if self.is_behind() { 1 } else { BLOCK_SIZE };
+        self.granted = if self.is_behind() { 1 } else { self.block_size };
         self.granted
     }
 
@@ -232,7 +247,8 @@ impl Board {
             answer: None,
             owed,
             is_answering: false,
-            granted: BLOCK_SIZE,
+            block_size: LONGEST_BLOCK,
+            granted: LONGEST_BLOCK,
             held_since: None,
         };
         let node = Node::with_application(device, settings, loader);
