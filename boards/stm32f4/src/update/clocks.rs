@@ -19,15 +19,15 @@ const CFGR: u32 = match SYSCLK_MHZ {
     160 => 0b100 << 13 | 0b101 << 10 | 0b10,
     _ => 0b100 << 10 | 0b10,
 };
-/// FLASH_ACR: the wait states at 2.7 V and more, one for each 25 MHz, which is enough for each chip; prefetch.
-const ACR: u32 = 1 << 8 | (SYSCLK_MHZ - 1) / if SYSCLK_MHZ == 160 { 30 } else { 25 };
+/// FLASH_ACR: prefetch, and the wait states at 2.7 V and more, one for each 30 MHz, or 25 on some chips of 100 MHz.
+const ACR: u32 = 1 << 8 | if SYSCLK_MHZ == 160 { 5 } else { 3 };
 
 /// Lets the core run from the PLL, once the crystal runs.
 pub fn start(crystal: Crystal, clocks: RCC) -> Rcc {
     // SAFETY: the settings are within the limits of each chip. Nothing else uses the flash.
     unsafe {
-        let n_and_p = N_AND_P | FROM_CRYSTAL | crystal.hz / 1_000_000;
-        clocks.pllcfgr().modify(|r, w| w.bits(r.bits() & !MASK | n_and_p));
+        let m = crystal.hz / 1_000_000;
+        clocks.pllcfgr().modify(|r, w| w.bits(r.bits() & !MASK | FROM_CRYSTAL | N_AND_P | m));
         clocks.cr().modify(|_, w| w.pllon().set_bit());
         comes_in_100_ms(|| clocks.cr().read().pllrdy().bit_is_set());
         FLASH::steal().acr().write(|w| w.bits(ACR));
