@@ -79,7 +79,7 @@ pub struct Loader {
     is_answering: bool,
     /// The segments of a block while the flash keeps up.
     block_size: u8,
-    /// The segments that the client may send.
+    /// The segments that the client may send before the next answer.
     granted: u8,
     /// Since when an answer is held back, since the flash is behind.
     held_since: Option<Instant>,
@@ -146,6 +146,7 @@ impl canopen_node::Program for Loader {
     }
 
     fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, sdo::Abort> {
+        self.granted = 1;
         self.updater.end(len).map_err(code)?;
         self.answer = Some(answer);
         Ok(None)
@@ -162,7 +163,9 @@ impl canopen_node::Program for Loader {
 
     fn holds(&mut self, now: Instant) -> bool {
         let since = *self.held_since.get_or_insert(now);
-        let holds = self.is_behind() && !since.plus_micros(HOLD_MICROS).has_come(now);
+        // The segments of a longer block have taken the time.
+        let may_hold = self.granted == 1 && !since.plus_micros(HOLD_MICROS).has_come(now);
+        let holds = may_hold && self.is_behind();
         if !holds {
             self.held_since = None;
         }
@@ -171,6 +174,7 @@ impl canopen_node::Program for Loader {
 
     fn abort(&mut self) {
         self.answer = None;
+        self.granted = 1;
         self.updater.abort();
     }
 
@@ -248,7 +252,7 @@ impl Board {
             owed,
             is_answering: false,
             block_size: LONGEST_BLOCK,
-            granted: LONGEST_BLOCK,
+            granted: 1,
             held_since: None,
         };
         let mut node = Node::with_application(device, settings, loader);
