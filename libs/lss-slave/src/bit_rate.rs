@@ -153,6 +153,11 @@ impl BitRates {
         Self(rates)
     }
 
+    /// One rate: configure bit timing parameters refuses all others.
+    pub const fn only(rate: BitRate) -> Self {
+        Self(1 << rate.index())
+    }
+
     /// The same rates and automatic detection.
     #[must_use]
     pub const fn with_automatic(self) -> Self {

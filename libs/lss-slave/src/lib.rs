@@ -1,7 +1,7 @@
 //! A CANopen LSS slave (CiA 305) for any CANopen stack: deterministic, without I/O.
 //!
 //! The library reads no clock, allocates nothing, knows no chip and cannot panic. It takes frames and the present time
-//! and says what the node has to do; the same calls always return the same results. This is a whole program, over a
+//! and says what the node has to do; the same calls always return the same results. This is all that LSS needs, over a
 //! driver with the traits of `embedded-can`:
 //!
 //! ```
@@ -119,12 +119,18 @@
 //! # assert_eq!(board.log, ["500 kbit/s, silent: false", "705: [00]"], "both settings are stored");
 //! ```
 //!
+//! A driver's own frame becomes a [`Frame`] by [`Frame::received`], and the other way by its
+//! `embedded_can::Frame::new(frame.id(), frame.data())`. When a node-ID replaces another one, it takes effect at NMT reset
+//! communication: the node then does as at [`Action::ResetCommunication`]. The loop may sleep until
+//! [`poll_at`](Slave::poll_at) or the next interrupt.
+//!
 //! With [`Slave::with_rescue`] and the controller's events it also finds its network at another bit rate. A device that
 //! has one bit rate for ever needs the state machine alone:
 //!
 //! ```
 //! use lss_slave::{
 //!     BitRate, BitRates, Frame,
+//!     cob_id::ERROR_CONTROL,
 //!     lss::{Address, REQUEST_COB_ID, Reaction, Response, StateMachine},
 //! };
 //!
@@ -140,19 +146,23 @@
 //!         }
 //!         Reaction::ResetCommunication => {
 //!             slave.reset_communication();
-//!             let boot_up = 0x700 + u16::from(slave.active_node_id()?.get());
+//!             let boot_up = ERROR_CONTROL + u16::from(slave.active_node_id()?.get());
 //!             Frame::new(boot_up, &[0])
 //!         }
+//!         // There is no other rate to which it could switch.
 //!         Reaction::ActivateBitTiming(_) => None,
 //!     }
 //! }
 //!
 //! let address = Address { vendor_id: 1, product_code: 2, revision_number: 3, serial_number: 4 };
-//! let rates = BitRates::possible(40_000_000);
+//! let rates = BitRates::only(BitRate::Kbit125);
 //! let mut slave = StateMachine::new(address, rates, None, BitRate::Kbit125.into());
-//! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-//! let found = answer(&mut slave, &is_anyone_unconfigured).unwrap();
-//! assert_eq!((found.cob_id(), found.data()[0]), (0x7E4, 0x50));
+//! let mut ask = |request: [u8; 8]| answer(&mut slave, &Frame::new(REQUEST_COB_ID, &request).unwrap());
+//! let found = ask([0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+//! assert_eq!((found.cob_id(), found.data()[0]), (0x7E4, 0x50), "a slave without a node-ID");
+//! assert_eq!(ask([0x04, 1, 0, 0, 0, 0, 0, 0]), None);
+//! let refused = ask([0x13, 0, BitRate::Kbit500.index(), 0, 0, 0, 0, 0]).unwrap();
+//! assert_eq!(refused.data()[..2], [0x13, 1], "another bit rate is refused");
 //! ```
 //! # Where to begin
 //! - [`Slave`] is the whole slave; [`Action`] says what the node must do.

@@ -12,7 +12,8 @@ use crate::{
 ///
 /// These calls drive it:
 /// - [`handle_frame`](Self::handle_frame) with every frame that the controller receives;
-/// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's errors;
+/// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's
+///   errors: only rescue and automatic detection need it;
 /// - [`note_sent`](Self::note_sent) with every frame that the node sends apart from LSS;
 /// - [`reset_communication`](Self::reset_communication) when the node performs that NMT command;
 /// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), until it returns
@@ -32,7 +33,7 @@ pub struct Slave {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Send this answer.
+    /// Send this answer as soon as a mailbox is free; the slave does not repeat it.
     Transmit(Frame),
     /// Make the [pending](StateMachine::pending) settings persistent, and send what [`Slave::handle_stored`] returns.
     Store,
@@ -47,13 +48,14 @@ pub enum Action {
     Listen(BitRate),
     /// Allow frames to be sent again.
     ResumeTransmitting,
-    /// From now on pass only the requests of LSS: the bit rate is proven. Who passes all frames may ignore it.
+    /// Until the next [`SetBitRate`](Self::SetBitRate) or [`Listen`](Self::Listen) the slave needs only the requests of
+    /// LSS: the bit rate is proven. Who passes all frames may ignore it.
     FilterFrames,
 }
 
 impl Slave {
     /// A slave after power-on, with its settings and the bit rates that the controller can produce. A stored rate that
-    /// is not among them leads to automatic detection.
+    /// is not among them leads to automatic detection, which needs the controller's errors.
     pub const fn new(address: Address, rates: BitRates, settings: Settings) -> Self {
         let bit_rate = rates.or_automatic(settings.bit_rate);
         Self {
@@ -62,7 +64,8 @@ impl Slave {
         }
     }
 
-    /// Adds the search for the others from a bit rate that is not proven.
+    /// Adds the search for a network at another bit rate: while no frame has proven the node's own, it listens at the
+    /// others in turn when the controller reports errors.
     #[must_use]
     pub const fn with_rescue(self) -> Self {
         let serial_number = self.lss.address().serial_number;
@@ -84,7 +87,7 @@ impl Slave {
         &self.bit_rate
     }
 
-    /// Whether the node may send frames now: it is in no switch of the bit rate, and listens to none.
+    /// Whether the node may send frames now: it is in no switch of the bit rate, and does not listen silently.
     pub const fn may_send(&self) -> bool {
         self.bit_rate.may_send() && !self.bit_rate.is_switching()
     }
@@ -145,7 +148,8 @@ impl Slave {
         }
     }
 
-    /// Records a request that the node will answer: at a bit rate that it has found it may report itself before.
+    /// Records a request, apart from LSS, that the node will answer. At a bit rate that it has found, a node speaks only
+    /// after that.
     pub const fn note_asked(&mut self) {
         self.bit_rate.note_asked();
     }
