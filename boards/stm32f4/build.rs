@@ -32,10 +32,11 @@ fn main() {
         return;
     }
     let sizes = format!(
-        "FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\nRUN = {};\nRUN_SIZE = {}K;\nLOADER_SIZE = {}K;\n",
+        "FLASH_SIZE = {}K;\nRAM_SIZE = {}K;\nRUN_OFFSET = {};\nRUN_SIZE = {}K;\nLOADER_SIZE = {}K;\n",
         chip.flash_kb,
         chip.ram_kb,
-        run.address,
+        // No address in the flash, which would pass for that of a function.
+        run.address - 0x0800_0000,
         run.kb,
         if is_signed { 64 } else { 32 },
     );
