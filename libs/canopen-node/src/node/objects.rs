@@ -263,9 +263,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Ok(Some(confirmation))
             }
             (object, value) => {
-                let before = self.number(entry);
+                let is_new = self.number(entry) != Some(value);
                 self.write_number(object, value)?;
-                if object != Object::NumberOfErrors && self.number(entry) != before {
+                if object != Object::NumberOfErrors && is_new {
                     self.storing.verification.clear();
                 }
                 Ok(Some(confirmation))
