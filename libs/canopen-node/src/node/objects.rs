@@ -7,10 +7,10 @@ use lss_slave::Slave;
 
 use super::{
     Confirmation, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    program, settings_object,
+    product::Product, program, settings_object,
 };
 use crate::{
-    Device, Frame, Instant, Program,
+    Frame, Instant, Program,
     application::Application,
     emergency::Emergency,
     lss::AddressPart,
@@ -72,13 +72,11 @@ impl<A: Application> Node<A> {
             return None;
         }
         let mut objects = NodeObjects {
-            device: &self.product.device,
             slave: &mut self.slave,
             nmt: &mut self.nmt,
             emergency: &mut self.emergency,
             storing: &mut self.storing,
-            communication: &mut self.product.communication,
-            application: &mut self.product.application,
+            product: &mut self.product,
             now,
             effects: Tasks::NONE,
         };
@@ -117,13 +115,11 @@ impl<A: Application> Node<A> {
 
 /// The parts of the node that objects read and write, at one time.
 pub(super) struct NodeObjects<'a, A: Application> {
-    pub device: &'a Device,
     pub slave: &'a mut Slave,
     pub nmt: &'a mut NmtSlave,
     pub emergency: &'a mut Emergency,
     pub storing: &'a mut Storing,
-    pub communication: &'a mut Communication<A::Numbers>,
-    pub application: &'a mut A,
+    pub product: &'a mut Product<A>,
     pub now: Instant,
     /// The tasks that the accesses have made due.
     pub effects: Tasks,
@@ -155,14 +151,18 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                     return Ok(Content::Number(value));
                 }
                 if !entry.options.is_streamed() {
-                    self.application.before_read(entry.index, entry.sub_index);
+                    self.product.application.before_read(entry.index, entry.sub_index);
                     self.effects.add(Self::VALUES);
                 }
                 return Ok(Content::OfApplication(field));
             }
-            Object::DeviceName => return Ok(Content::Text(self.device.name)),
-            Object::HardwareVersion => return Ok(Content::Text(self.device.hardware_version)),
-            Object::SoftwareVersion => return Ok(Content::Text(self.device.software_version)),
+            Object::DeviceName => return Ok(Content::Text(self.product.device.name)),
+            Object::HardwareVersion => {
+                return Ok(Content::Text(self.product.device.hardware_version));
+            }
+            Object::SoftwareVersion => {
+                return Ok(Content::Text(self.product.device.software_version));
+            }
             Object::DeviceType => A::DEVICE_TYPE,
             Object::ErrorRegister => self.emergency.error_register().into(),
             Object::NumberOfErrors => self.emergency.number_of_errors().into(),
@@ -201,7 +201,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 settings_object::bit_rate(self.slave.lss()).into()
             }
             object if Communication::<A::Numbers>::IS_USED => {
-                self.communication.read(object, self.slave.lss().active_node_id())?
+                self.product.communication.read(object, self.slave.lss().active_node_id())?
             }
             _ => 0,
         }))
@@ -222,11 +222,11 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
             let value = A::parse(field, bytes)?;
-            self.application.accept(&value)?;
+            self.product.application.accept(&value)?;
             if entry.options.is_stored() && self.differs(field, bytes) {
                 self.storing.verification.clear();
             }
-            self.application.set(value);
+            self.product.application.set(value);
             return Ok(Some(confirmation));
         }
         match bytes.len().cmp(&entry.data_type.size().into()) {
@@ -250,7 +250,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 if A::SETTINGS_BY_SDO =>
             {
                 let is_operational = self.nmt.state() == nmt::State::Operational;
-                if self.device.lss_lock && is_operational {
+                if self.product.device.lss_lock && is_operational {
                     return Err(Abort::DeviceState);
                 }
                 let written = &mut self.storing.written;
@@ -263,9 +263,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Ok(Some(confirmation))
             }
             (object, value) => {
-                let before = self.number(entry);
+                let is_new = self.number(entry) != Some(value);
                 self.write_number(object, value)?;
-                if object != Object::NumberOfErrors && self.number(entry) != before {
+                if object != Object::NumberOfErrors && is_new {
                     self.storing.verification.clear();
                 }
                 Ok(Some(confirmation))
@@ -279,15 +279,15 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
 
     fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
         match entry.options.is_streamed() {
-            true => self.application.domain_len(entry.index, entry.sub_index),
-            false => Ok(self.application.len(field) as u32),
+            true => self.product.application.domain_len(entry.index, entry.sub_index),
+            false => Ok(self.product.application.len(field) as u32),
         }
     }
 
     fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize {
         match entry.options.is_streamed() {
-            true => self.application.read_domain(entry.index, entry.sub_index, offset, to),
-            false => self.application.read(field, offset as usize, to),
+            true => self.product.application.read_domain(entry.index, entry.sub_index, offset, to),
+            false => self.product.application.read(field, offset as usize, to),
         }
     }
 
@@ -296,12 +296,12 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             return self.program()?.write(offset, bytes);
         }
         self.effects.add(Self::VALUES);
-        self.application.write_domain(entry.index, entry.sub_index, offset, bytes)
+        self.product.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
         self.effects.add(Self::VALUES);
-        self.application.end_domain(entry.index, entry.sub_index, len)
+        self.product.application.end_domain(entry.index, entry.sub_index, len)
     }
 
     fn end_program(
@@ -316,16 +316,16 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
 
     fn abort_domain(&mut self, entry: &Entry) {
         self.effects.add(Self::VALUES);
-        abort_domain(self.application, entry);
+        abort_domain(&mut self.product.application, entry);
     }
 
     fn grant(&mut self, entry: &Entry) -> u8 {
-        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        let program = self.product.application.program().filter(|_| entry.index == program::DATA);
         program.map_or(BLOCK_SIZE, |program| program.grant())
     }
 
     fn granted(&mut self, entry: &Entry) -> u8 {
-        let program = self.application.program().filter(|_| entry.index == program::DATA);
+        let program = self.product.application.program().filter(|_| entry.index == program::DATA);
         program.map_or(BLOCK_SIZE, |program| program.granted())
     }
 }
@@ -362,16 +362,16 @@ impl<A: Application> NodeObjects<'_, A> {
     const VALUES: Tasks = tasks_of(Object::Application(0));
 
     fn program(&mut self) -> Result<&mut dyn Program, Abort> {
-        self.application.program().ok_or(Abort::DeviceState)
+        self.product.application.program().ok_or(Abort::DeviceState)
     }
 
     /// Whether the value of a field differs from these bytes.
     fn differs(&self, field: u8, bytes: &[u8]) -> bool {
         let is_other = |(at, byte): (usize, &u8)| {
             let mut now = [0];
-            self.application.read(field, at, &mut now) == 0 || now != [*byte]
+            self.product.application.read(field, at, &mut now) == 0 || now != [*byte]
         };
-        self.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
+        self.product.application.len(field) != bytes.len() || bytes.iter().enumerate().any(is_other)
     }
 
     /// The value of an object, if it is a number.
@@ -400,7 +400,7 @@ impl<A: Application> NodeObjects<'_, A> {
             }
             object if Communication::<A::Numbers>::IS_USED => {
                 let node = self.slave.lss().active_node_id();
-                self.communication.write(object, number, node, A::OBJECTS)?;
+                self.product.communication.write(object, number, node, A::OBJECTS)?;
             }
             _ => return Err(Abort::ReadOnly),
         }

@@ -243,7 +243,7 @@ impl Mapping {
         for Entry { data_type, options, .. } in self.entries() {
             let bits = bits(*data_type);
             if !options.is_quiet() {
-                heeded |= u64::MAX.unbounded_shr(64_u32.wrapping_sub(bits)).wrapping_shl(at);
+                heeded |= u64::MAX.wrapping_shr(64_u32.wrapping_sub(bits)).wrapping_shl(at);
             }
             at = at.wrapping_add(bits);
         }

@@ -217,16 +217,16 @@ impl<B: Buffer> Server<B> {
         let size = entry.data_type.size();
         let of_object = if let 1..=4 = size { size.into() } else { 4 };
         let announced = announced.or(is_expedited.then_some(of_object));
-        let mut download = Download::begin(entry, announced, self.buffer.as_ref())?;
         let confirmation = Message::new(0x60, address, 0);
+        let data = number.to_le_bytes();
+        let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
+        if is_expedited && !entry.options.is_streamed() {
+            return objects.write(entry, bytes, confirmation);
+        }
+        let mut download = Download::begin(entry, announced, self.buffer.as_ref())?;
         if !is_expedited {
             self.transfer = Some(Transfer::Download(download));
             return Ok(Some(confirmation));
-        }
-        let data = number.to_le_bytes();
-        let bytes = data.get(..announced.unwrap_or(4) as usize).unwrap_or(&data);
-        if !entry.options.is_streamed() {
-            return objects.write(entry, bytes, confirmation);
         }
         download
             .add(bytes, objects, self.buffer.as_mut())
