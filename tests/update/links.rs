@@ -28,6 +28,7 @@ fn check(loader: &Image, part: Part, controller: usize, kb: u32) {
 }
 
 #[test]
+#[ignore = "builds eight images: `.ci/run chips`"]
 fn the_loader_fits_and_starts_whatever_name_chip_and_controller() {
     for (name, part, controller) in [
         (SHORT, Part::Stm32f405, 1),
