@@ -51,8 +51,8 @@ impl Chip {
         CHIPS.into_iter().find(|chip| chip.feature == feature)
     }
 
-    /// RUN: sector 4 and those after it; behind a loader that takes only signed programs, and sector 4 for that, from sector
-    /// 5 on. A chip with 256 KB has no room for that: 0 sectors.
+    /// RUN begins with sector 4. A loader that takes only signed programs needs that sector itself, so RUN begins with
+    /// sector 5 behind it; a chip with 256 KB has no room for such a program, and RUN has no sector.
     pub const fn run(&self, is_signed: bool) -> Run {
         let large = self.flash_kb / LARGE_KB - 1;
         if is_signed {

@@ -179,7 +179,7 @@ where
         Ok(())
     }
 
-    /// Only for the master's own node, which takes part in a switch of the network by itself.
+    /// Sets the bit rate of the master's own node alone, which takes part in a switch of the network by itself.
     fn set_bit_rate(&mut self, rate: BitRate) -> Result<(), Rival> {
         self.runner.lock(|runner| runner.switch_bit_rate(rate, 0));
         Ok(())
