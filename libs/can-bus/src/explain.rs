@@ -117,7 +117,8 @@ fn lss_response(data: &[u8; 8]) -> String {
     }
 }
 
-fn part(part: AddressPart) -> &'static str {
+/// The name of a part of an LSS address.
+pub fn part(part: AddressPart) -> &'static str {
     match part {
         AddressPart::VendorId => "vendor-ID",
         AddressPart::ProductCode => "product code",

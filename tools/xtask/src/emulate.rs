@@ -134,11 +134,12 @@ impl Arguments {
 
 /// Runs the boards until Ctrl-C.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    // It may build the firmware for minutes: a program that connects meanwhile would get no answer.
+    let Prepared { mut network, memory, programs } = prepare(arguments)?;
     let listener = TcpListener::bind(arguments.listen).with_context(|| {
         format!("cannot listen at {} (choose another address with --listen)", arguments.listen)
     })?;
     let address = listener.local_addr()?;
-    let Prepared { mut network, memory, programs } = prepare(arguments)?;
     let (sender, inputs) = mpsc::sync_channel(client::WAITING);
     let (stop, console_sender) = (sender.clone(), sender.clone());
     ctrlc::set_handler(move || _ = stop.send(Input::Stop)).context("cannot wait for Ctrl-C")?;
@@ -146,7 +147,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     println!("ready: SLCAN on {address}; {}", describe(programs.ours(&network), &programs));
     let console = Console::new(matches!(arguments.example, Some(Example::Io)));
     if arguments.console || arguments.example.is_some() {
-        println!("commands:\n{}", console.help());
+        println!("commands (BOARD is 0 unless given):\n{}", console.help());
         console::read(console_sender);
     }
     let bit_rate = arguments.bit_rate.unwrap_or(DEFAULT_BIT_RATE);
@@ -337,6 +338,16 @@ mod tests {
         assert!(refusal("--chip stm32g431").contains("needs --elf"));
         assert!(refusal("--boards 0 --elf a.elf --example io").contains("there are none"));
         assert!(refusal("--boards 0 --elf a.elf --node-id 5").contains("our firmware only"));
+    }
+
+    #[test]
+    fn the_address_is_taken_when_the_boards_are_ready() {
+        let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = taken.local_addr().expect("it is bound").to_string();
+        let words = ["emulate", "--boards", "0", "--elf", "missing.elf", "--listen", &address];
+        let command = CommandLine::try_parse_from(words).expect("valid");
+        let error = run(&command.arguments).expect_err("there is no such file").to_string();
+        assert!(error.contains("missing.elf"), "{error}");
     }
 
     /// A bus without boards that runs until the end of the tests.

@@ -1,5 +1,6 @@
 //! The boards without a node-ID, by Fastscan. None of them is configured.
 
+use can_bus::explain;
 use canopen_node::lss::{Address, AddressPart, FastscanStep, Request};
 use lss_master::{Outcome, Procedure, Step};
 
@@ -168,7 +169,8 @@ impl Scan<'_, '_> {
         numbers: &mut Vec<u32>,
     ) -> Result<(), Failure> {
         let count = known + numbers.len();
-        self.session.progress.say(|| format!("Fastscan: {count} boards so far, {part:?}"));
+        let part_name = explain::part(part);
+        self.session.progress.say(|| format!("Fastscan: {count} boards so far, {part_name}"));
         for number in [number, number | 1 << bit] {
             if !self.ask(number, bit, [part as u8; 2], self.caution)? {
                 continue;

@@ -56,5 +56,5 @@ fn a_wrong_command_line_is_told() {
     wrong(&["list", "--watch", "--json"], "cannot be used with");
     wrong(&["assign", "--yes"], "--table <FILE>");
     wrong(&["store", "--address", "1:2:3"], "vendor-ID:product code:revision:serial number");
-    wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301");
+    wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301 in kbit/s: 1000, 800,");
 }
