@@ -15,5 +15,7 @@ fn main() -> io::Result<()> {
     let objects = application::Node::entries(&product.device);
     let sheet = DataSheet::new(product, objects, &application::Application::new());
     let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
-    fs::write(folder.join("@name@.eds"), sheet.eds())
+    fs::write(folder.join("@name@.eds"), sheet.eds())?;
+    println!("@name@.eds");
+    Ok(())
 }

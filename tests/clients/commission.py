@@ -7,6 +7,8 @@ CHANNEL is that of the SLCAN adapter. Each 1 in an LSS address takes TIMEOUT, 0.
 import sys, time
 import canopen
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 channel, timeout = sys.argv[1], float((sys.argv[2:] or ["0.5"])[0])
 network = canopen.Network().connect(interface="slcan", channel=channel, bitrate=125000, sleep_after_open=0)
 network.scanner.search()                                         # asks each node-ID by SDO

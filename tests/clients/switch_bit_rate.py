@@ -7,6 +7,8 @@ CHANNEL is that of the SLCAN adapter; the bit rates are in kbit/s.
 import sys, time
 import canopen
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 TABLE_INDEX = {1000: 0, 500: 2, 250: 3, 125: 4, 50: 6, 20: 7, 10: 8}
 
 channel, (now, then, *node_ids) = sys.argv[1], map(int, sys.argv[2:])

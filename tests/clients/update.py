@@ -5,6 +5,8 @@
 import sys, time
 import canopen
 
+if len(sys.argv) < 5:
+    sys.exit(__doc__)
 channel, kbit, path, *node_ids = sys.argv[1:]
 file = open(path, "rb").read()
 crc = int.from_bytes(file[12:16], "little")
