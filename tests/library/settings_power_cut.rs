@@ -280,3 +280,24 @@ fn a_cut_store_leaves_both_old_or_both_new_at_every_power_on() {
     cut_in_each_step::<0>(0, 0, 10);
     cut_in_each_step::<WITH_PARAMETERS>(30, 34, 28);
 }
+
+#[test]
+fn a_start_formats_two_banks_whose_erases_were_cut() {
+    fn format<const W: usize, const E: usize>() {
+        for seed in 0..500 {
+            let flash = Flash::<W, E>::blank(seed);
+            for _ in 0..2 {
+                flash.cut_power_after(0);
+                open(&flash);
+                flash.power_on();
+            }
+            let (_, found) = open(&flash);
+            assert!(!matches!(found, Found::MediumFailed(_)), "seed {seed}: {found:?}");
+        }
+    }
+    format::<1, { 12 * 40 }>();
+    format::<2, { 12 * 40 }>();
+    format::<4, { 12 * 40 }>();
+    format::<8, { 12 * 48 }>();
+    format::<32, { 12 * 96 }>();
+}

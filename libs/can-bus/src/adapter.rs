@@ -140,7 +140,9 @@ impl FromStr for Place {
 /// The bit rate with this number of kbit/s.
 pub fn bit_rate(kbit: &str) -> Result<BitRate, String> {
     let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s().to_string() == kbit);
-    rate.ok_or_else(|| format!("{kbit} is no bit rate of CiA 301 in kbit/s: 1000, 800, 500, 250, 125, 50, 20, 10"))
+    rate.ok_or_else(|| {
+        format!("{kbit} is no bit rate of CiA 301 in kbit/s: 1000, 800, 500, 250, 125, 50, 20, 10")
+    })
 }
 
 impl fmt::Display for Place {

@@ -16,7 +16,12 @@ use crate::address::{self, Assigned, Which};
 /// command line is wrong, 3 if nobody answers, 4 without a working adapter, 130 after Ctrl-C, which is the good end
 /// only of `lss list --watch`: 0.
 #[derive(Parser)]
-#[command(name = "lss", version, verbatim_doc_comment, next_help_heading = "Options of every command")]
+#[command(
+    name = "lss",
+    version,
+    verbatim_doc_comment,
+    next_help_heading = "Options of every command"
+)]
 pub struct Arguments {
     /// The CAN adapter: `slcan:DEVICE[@BAUD]`, slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
     /// the interface is up and its bit rate must stay
