@@ -216,7 +216,7 @@ fn check_key(key: Option<&SigningKey>, loader_key: Option<&[u8; 32]>) -> anyhow:
         (Some(key), Some(loader_key)) => {
             ensure!(
                 key == *loader_key,
-                "the loader has another key; for this one, src/key.rs has\n\npub const KEY: [u8; 32] = {key:?};"
+                "the loader has another key; for this one, write into src/key.rs\n\npub const KEY: [u8; 32] = {key:?};"
             );
         }
         (None, Some(_)) => bail!("the loader takes only signed programs: give `--key PEM`"),
