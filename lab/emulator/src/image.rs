@@ -36,10 +36,10 @@ impl Image {
     /// The file cannot be read, or [`from_elf`](Self::from_elf) refuses it.
     pub fn load(path: impl AsRef<Path>) -> io::Result<Self> {
         let path = path.as_ref();
-        let unreadable = |error: io::Error| {
+        let image = fs::read(path).and_then(|bytes| Self::from_elf(&bytes));
+        image.map_err(|error| {
             io::Error::new(error.kind(), format!("cannot read {}: {error}", path.display()))
-        };
-        Self::from_elf(&fs::read(path).map_err(unreadable)?)
+        })
     }
 
     /// Parses the content of an ELF file.
@@ -119,8 +119,10 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_file_is_named() {
-        let error = Image::load("no/such/file").expect_err("no image");
-        assert!(error.to_string().starts_with("cannot read no/such/file: "), "{error}");
+    fn a_file_that_is_missing_or_no_elf_is_named() {
+        for file in ["no/such/file", "Cargo.toml"] {
+            let error = Image::load(file).expect_err("no image");
+            assert!(error.to_string().starts_with(&format!("cannot read {file}: ")), "{error}");
+        }
     }
 }
