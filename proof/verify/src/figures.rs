@@ -46,7 +46,9 @@ fn output(command: &str) -> anyhow::Result<String> {
     println!("{command}");
     let mut words = command.split_whitespace();
     ensure!(words.next() == Some("cargo"), "not a command of cargo: {command}");
-    Ok(figures(&tool::output(cargo().args(words).env("RUST_TEST_THREADS", "1"))?))
+    Ok(figures(&tool::output(
+        cargo().args(words).envs([("RUST_TEST_THREADS", "1"), ("SEED", "1")]),
+    )?))
 }
 
 fn figures(output: &str) -> String {
