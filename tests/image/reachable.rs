@@ -110,7 +110,7 @@ fn assert_waits_for_a_master_that_goes_on(
 
 #[test]
 fn a_master_that_continues_at_the_old_rate_loses_no_board() {
-    for (number, pair) in pairs().enumerate() {
+    for (number, pair) in pairs().enumerate().step_by(every(5)) {
         let id = [1, 5, 16, 32, 64, 100, 127][number % 7];
         let (heartbeat_ms, late_ms) = [(1000, 300), (0, 300), (1000, 3_000)][number % 3];
         assert_waits_for_a_master_that_goes_on(pair, id, heartbeat_ms, late_ms);

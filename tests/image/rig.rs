@@ -13,7 +13,7 @@ use testkit::image_rig;
 pub use testkit::{
     frames::{self, Frames, SILENCE},
     image_rig::*,
-    random::Random,
+    random::{Random, every},
     sdo::{self, Client},
     settings::Stored,
     wire::*,

@@ -12,7 +12,7 @@ use testkit::{
     },
     node_rig::{ADDRESS, NodeRig, device},
     power_cut::{EachKind, store as stores, with_each_kind},
-    random::Random,
+    random::{Random, every},
     settings::{Content, open, open_with_parameters, parameters, settings},
 };
 
@@ -330,7 +330,7 @@ fn what_is_acknowledged_after_a_format_that_failed_stays_with_any_unit() {
             let writes = 0..formatted.writes() - before;
             let format = (0..before).map(|others| (Write, others));
             for fault in format.chain((0..formatted.erases()).map(|others| (Erase, others))) {
-                for others in writes.clone() {
+                for others in writes.clone().step_by(every(5)) {
                     let flash = Flash::<W, E>::blank_with_sectors(2, 0);
                     flash.fail_once(fault.0, fault.1);
                     let (mut log, _) = Log::open(flash.clone());

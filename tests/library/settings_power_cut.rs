@@ -12,7 +12,7 @@ use testkit::{
         EachKind, Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice, store,
         with_each_kind,
     },
-    random::Random,
+    random::{Random, every},
     settings::{open, open_with_parameters, parameters, settings},
 };
 
@@ -24,7 +24,7 @@ fn two_cuts_in_any_steps_lose_nothing_with_any_unit() {
     struct Cuts;
     impl EachKind for Cuts {
         fn run<const W: usize, const E: usize>(&mut self) {
-            let every = if W < 4 { 197 } else { 17 };
+            let every = every(5) * if W < 4 { 197 } else { 17 };
             cut_twice::<0, W, E>(&vec![0xFF; 4 * E], 10, every);
             // Garbage is formatted first.
             cut_twice::<0, W, E>(&vec![0xA5; 4 * E], 4, every);
@@ -90,8 +90,8 @@ fn many_cut_starts_in_a_row_lose_nothing_with_any_unit() {
     struct Cuts;
     impl EachKind for Cuts {
         fn run<const W: usize, const E: usize>(&mut self) {
-            disturb::<0, W, E>(2, 500, false);
-            disturb::<WITH_PARAMETERS, W, E>(3, 200, false);
+            disturb::<0, W, E>(2, 500 / every(5), false);
+            disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), false);
         }
     }
     with_each_kind(&mut Cuts);
@@ -102,8 +102,8 @@ fn cuts_and_operations_that_fail_lose_nothing_together_with_any_unit() {
     struct Faults;
     impl EachKind for Faults {
         fn run<const W: usize, const E: usize>(&mut self) {
-            disturb::<0, W, E>(2, 500, true);
-            disturb::<WITH_PARAMETERS, W, E>(3, 200, true);
+            disturb::<0, W, E>(2, 500 / every(5), true);
+            disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), true);
         }
     }
     with_each_kind(&mut Faults);

@@ -193,7 +193,7 @@ fn offer(number: usize) {
 
 #[test]
 fn no_mutated_file_starts_and_the_status_says_why() {
-    offer(100);
+    offer(25);
 }
 
 #[test]

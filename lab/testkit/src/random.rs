@@ -1,10 +1,17 @@
-//! Random numbers for tests. Every test prints its seed, so that a failure can be repeated.
+//! Random numbers for tests, and which share of its cases a test takes. Every test prints its seed, so that a failure can
+//! be repeated.
 
 use std::{
     env,
     hash::{BuildHasher, RandomState},
     ops::Range,
 };
+
+/// The step with which a test goes through its cases: each `nth`, or all if the environment has `FULL`, as in
+/// `.ci/run campaigns`.
+pub fn every(nth: usize) -> usize {
+    if env::var_os("FULL").is_some() { 1 } else { nth }
+}
 
 /// A generator of random numbers (SplitMix64).
 #[derive(Clone, Debug)]

@@ -190,7 +190,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
 
     /// Whether neither RUN nor BACKUP holds a program that can be started: emergency 6200h.
     pub fn is_without_program(&self) -> bool {
-        self.next(true) == Next::Nothing
+        self.run.is_none() && !(self.journal.is_saved() && self.backup.is_some())
     }
 
     /// The header of the program in RUN, else of that in BACKUP: for 1018h sub-index 3 and 100Ah.

@@ -50,7 +50,7 @@ impl Drop for Told {
 /// Which cuts are tried.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Cuts {
-    /// Behind some frames, with each span in turn.
+    /// Behind some frames, each of a party, with a span in turn.
     Some,
     /// Behind each frame, with each span.
     All,
@@ -67,11 +67,12 @@ fn cut_power(boards: u32, work: fn(&mut Rig), end: fn(&mut Rig), which: Cuts) {
     };
     assert!(moments.len() > 20, "{moments:?}");
     let mut cuts = Vec::new();
-    for party in PARTIES {
-        for (number, after) in moments.iter().copied().enumerate() {
-            let is_tried = |of_span: usize| which == Cuts::All || number % SPANS.len() == of_span;
-            let spans = SPANS.into_iter().enumerate().filter(|(of_span, _)| is_tried(*of_span));
-            cuts.extend(spans.map(|(_, span)| Cut { party, after, span }));
+    for (number, after) in moments.into_iter().enumerate() {
+        let all =
+            SPANS.into_iter().flat_map(|span| PARTIES.map(|party| Cut { party, after, span }));
+        match which {
+            Cuts::Some => cuts.extend(all.cycle().nth(number)),
+            Cuts::All => cuts.extend(all),
         }
     }
     println!("{} power cuts behind {} frames", cuts.len(), rig.frames.len());

@@ -145,13 +145,19 @@ impl Spi {
 
     /// The level of its interrupt, bit n for interrupt n.
     pub fn irqs(&self) -> u128 {
-        u128::from(self.model.irq_asserted()) << self.kind.irq
+        u128::from(self.may_interrupt() && self.model.irq_asserted()) << self.kind.irq
+    }
+
+    fn may_interrupt(&self) -> bool {
+        self.cr2 & INTERRUPTS != 0
     }
 
     /// The next change of the master, if it may interrupt.
     pub fn deadline(&self) -> Time {
-        let next = self.model.next_event_tick().filter(|_| self.cr2 & INTERRUPTS != 0);
-        let Some(next) = next else { return Time::MAX };
+        if !self.may_interrupt() {
+            return Time::MAX;
+        }
+        let Some(next) = self.model.next_event_tick() else { return Time::MAX };
         let periods = u128::from(next.saturating_sub(self.periods));
         self.since + Time::from_ps((periods * SCALE).div_ceil(self.clock.rate()) as u64)
     }

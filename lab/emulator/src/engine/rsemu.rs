@@ -77,7 +77,7 @@ impl Rsemu {
         let clock = CycleClock::new(hclk, 0, Time::ZERO);
         let flash = Arc::new(RamStore::new(part.flash_size().into()));
         let link = Arc::new(Link::new(clock));
-        let ram = Arc::new(RamStore::new(part.ram_size().into()));
+        let ram = Arc::new(fast::ram(part.ram_size()));
         let ccm = Arc::new(RamStore::new(part.ccm_size().into()));
         let config = Config::CORTEX_M4F.with_priority_bits(4);
         let cpu = ArmV7m::new(config);
@@ -274,7 +274,7 @@ impl Rsemu {
         if let Some(range) = chip.flash_mut().take_changed() {
             let bytes = &chip.flash().bytes()[range.clone()];
             copy(&self.flash, range.start, bytes);
-            self.decoded.forget(&range);
+            self.decoded.forget(FLASH_BASE + range.start as u32..FLASH_BASE + range.end as u32);
             self.double_errors = chip.flash().double_errors().collect();
         }
     }

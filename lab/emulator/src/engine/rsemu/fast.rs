@@ -26,6 +26,14 @@ const PERIPHERALS: Range<u32> = 0x4000_0000..0x4008_0000;
 /// Those of them that may answer with a bus fault: the flash's of an STM32F4 and of an STM32G4.
 const MAY_FAULT: [Range<u32>; 2] = [0x4002_3C00..0x4002_4000, 0x4002_2000..0x4002_2400];
 
+/// The length of a line of the RAM, as a power of two: what a store may change of the decoded instructions.
+const LINE_BITS: u32 = 6;
+
+/// A RAM that notes which of its lines were written.
+pub fn ram(length: u32) -> RamStore {
+    RamStore::with_page_bits(length.into(), LINE_BITS)
+}
+
 /// What loads, stores and fetches reach.
 pub struct Memories<'a> {
     pub flash: &'a RamStore,
@@ -70,8 +78,7 @@ impl<'a> Memories<'a> {
     }
 
     fn code(&self, address: u32) -> Option<u16> {
-        let in_ram =
-            || within(self.ram, RAM_BASE, address, 2).filter(|_| !self.is_guarded(address, 2));
+        let in_ram = || within(self.ram, RAM_BASE, address, 2);
         let (memory, offset) = self.flash(address, 2).or_else(in_ram)?;
         Some(read(memory, offset, Size::Half)? as u16)
     }
@@ -101,11 +108,10 @@ fn write(store: &RamStore, offset: u64, size: Size, value: u32) -> Option<()> {
 /// The latest instructions, decoded.
 pub struct Decoded(Vec<Place>);
 
-/// An instruction, where it was, and whether it is 32 bits long.
+/// An instruction, where it is, and whether it is 32 bits long.
 #[derive(Clone, Copy)]
 struct Place {
     address: u32,
-    code: [u16; 2],
     insn: Insn,
     is_wide: bool,
 }
@@ -118,36 +124,54 @@ impl Decoded {
 
     pub fn new() -> Self {
         let (address, insn) = (Self::NOWHERE, Insn::Undefined);
-        Self(vec![Place { address, code: [0; 2], insn, is_wide: false }; Self::LENGTH])
+        Self(vec![Place { address, insn, is_wide: false }; Self::LENGTH])
     }
 
-    /// Forgets what may lie in these changed bytes of the flash.
-    pub fn forget(&mut self, changed: &Range<usize>) {
-        let changed = changed.start.saturating_sub(2) as u32..changed.end as u32;
-        for Place { address, .. } in &mut self.0 {
-            if changed.contains(&address.wrapping_sub(FLASH_BASE)) {
+    /// Forgets what may lie at these addresses, whose content has changed.
+    pub fn forget(&mut self, changed: Range<u32>) {
+        // An instruction of 32 bits may begin before them.
+        let changed = (changed.start & !1) - 2..changed.end;
+        for pc in changed.clone().step_by(2).take(Self::LENGTH) {
+            let Place { address, .. } = self.place(pc);
+            if changed.contains(address) {
                 *address = Self::NOWHERE;
             }
         }
     }
 
-    /// The instruction at `pc`, and whether it is 32 bits long. In RAM it may have changed.
-    fn instruction(&mut self, pc: u32, memories: &Memories) -> Option<(Insn, bool)> {
-        let place = &mut self.0[pc as usize / 2 % Self::LENGTH];
-        let is_in_flash = pc < CCM_BASE;
-        if is_in_flash && memories.is_flash_busy {
+    fn place(&mut self, pc: u32) -> &mut Place {
+        &mut self.0[pc as usize / 2 % Self::LENGTH]
+    }
+
+    /// Forgets what lies in the line of the RAM at this address, if its content has changed.
+    fn follow(&mut self, ram: &RamStore, address: u32) {
+        let line = u64::from(address.wrapping_sub(RAM_BASE) >> LINE_BITS);
+        if ram.is_page_dirty(line) {
+            ram.take_page_dirty(line);
+            let start = address >> LINE_BITS << LINE_BITS;
+            self.forget(start..start + (1 << LINE_BITS));
+        }
+    }
+
+    /// The instruction at `pc`.
+    fn instruction(&mut self, pc: u32, memories: &Memories) -> Option<&Place> {
+        if pc >= CCM_BASE {
+            self.follow(memories.ram, pc);
+            self.follow(memories.ram, pc.wrapping_add(2));
+            if memories.is_guarded(pc, 4) {
+                return None;
+            }
+        } else if memories.is_flash_busy {
             return None;
         }
-        if place.address != pc || !is_in_flash {
+        let place = self.place(pc);
+        if place.address != pc {
             let first = memories.code(pc)?;
             let is_wide = is_32bit(first);
             let second = if is_wide { memories.code(pc.wrapping_add(2))? } else { 0 };
-            let code = [first, second];
-            if (place.address, place.code) != (pc, code) {
-                *place = Place { address: pc, code, insn: decode(first, second), is_wide };
-            }
+            *place = Place { address: pc, insn: decode(first, second), is_wide };
         }
-        Some((place.insn, place.is_wide))
+        Some(place)
     }
 }
 
@@ -195,7 +219,7 @@ impl<'a> Fast<'a> {
         if self.regs.xpsr & xpsr::T == 0 {
             return None;
         }
-        let (insn, is_wide) = self.decoded.instruction(pc, &self.memories)?;
+        let &Place { insn, is_wide, .. } = self.decoded.instruction(pc, &self.memories)?;
         let it = it_state(self.regs.xpsr);
         if it != 0 && matches!(insn, Insn::It { .. }) {
             return None;

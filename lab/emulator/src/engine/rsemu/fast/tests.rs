@@ -45,7 +45,7 @@ impl Machine {
         let chip = Arc::new(Mutex::new(chip));
         let link = Arc::new(Link::new(CycleClock::new(crystal, 0, Time::ZERO)));
         let mut store = |length: u32| {
-            let store = Arc::new(RamStore::new(length.into()));
+            let store = Arc::new(ram(length));
             let words = (0..length / 4).flat_map(|_| random.instruction());
             let bytes: Vec<u8> = words.flat_map(u16::to_le_bytes).collect();
             store.write_at(0, &bytes).expect("it has this length");
@@ -212,14 +212,23 @@ fn a_changed_instruction_is_decoded_again() {
     let machine = Machine::new(1);
     let mut decoded = Decoded::new();
     let mut regs = Regs::new();
-    regs.r[15] = FLASH_BASE + 2;
-    // MOVW R0, #1 and the same with R1: the second halfword changes.
-    for (second, expected) in [(0x0001_u16, [1, 0]), (0x0101, [0, 1])] {
-        machine.flash.write_at(2, &0xF240_u16.to_le_bytes()).expect("it is in the flash");
-        machine.flash.write_at(4, &second.to_le_bytes()).expect("it is in the flash");
-        decoded.forget(&(4..6));
-        let mut core = Fast::new(regs, machine.memories(), &mut decoded);
-        assert_eq!(core.step(), Some(1));
-        assert_eq!(core.regs.r[..2], expected);
+    // The second halfword changes; in the RAM it is in the next line.
+    let places = [(&machine.flash, FLASH_BASE, 2), (&machine.ram, RAM_BASE, 62)];
+    for (memory, base, offset) in places {
+        regs.r[15] = base + offset;
+        let write = |offset: u32, half: u16| {
+            memory.write_at(offset.into(), &half.to_le_bytes()).expect("it is in the memory");
+        };
+        // MOVW R0, #1 and the same with R1.
+        write(offset, 0xF240);
+        for (second, expected) in [(0x0001, [1, 0]), (0x0101, [0, 1])] {
+            write(offset + 2, second);
+            if base == FLASH_BASE {
+                decoded.forget(base + offset + 2..base + offset + 4);
+            }
+            let mut core = Fast::new(regs, machine.memories(), &mut decoded);
+            assert_eq!(core.step(), Some(1));
+            assert_eq!(core.regs.r[..2], expected);
+        }
     }
 }
