@@ -55,6 +55,15 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
 }
 
 #[test]
+fn an_answer_to_the_request_that_proves_the_rate_begins_no_pause() {
+    let mut board = unproven();
+    board.timeline();
+    board.lss("5A");
+    board.pass_ms(200);
+    assert_eq!(board.timeline(), ["0 ms receives"]);
+}
+
+#[test]
 fn nothing_is_due_after_a_request_without_an_answer_at_a_proven_rate() {
     let mut board = proven();
     let now = Instant::from_micros(board.now() as u32);

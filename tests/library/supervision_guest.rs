@@ -98,6 +98,17 @@ fn a_guest_stores_and_activates_the_rate_that_13_or_15_has_set() {
 }
 
 #[test]
+fn a_guest_switches_after_a_delay_that_is_longer_than_its_stay() {
+    let mut board = asked_guest();
+    board.configure("13 00 02, 15 FF FF");
+    board.timeline();
+    board.pass_ms(65_000);
+    board.see(Error);
+    board.pass_ms(535);
+    assert_eq!(board.timeline(), ["65535 ms 500 kbit/s"]);
+}
+
+#[test]
 fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
     let mut board = asked_guest();
     board.lss("04 01");
