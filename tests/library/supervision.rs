@@ -55,15 +55,6 @@ fn nothing_is_due_after_the_acknowledge_of_an_answer_at_a_proven_rate() {
 }
 
 #[test]
-fn an_answer_to_the_request_that_proves_the_rate_begins_no_pause() {
-    let mut board = unproven();
-    board.timeline();
-    board.lss("5A");
-    board.pass_ms(200);
-    assert_eq!(board.timeline(), ["0 ms receives"]);
-}
-
-#[test]
 fn nothing_is_due_after_a_request_without_an_answer_at_a_proven_rate() {
     let mut board = proven();
     let now = Instant::from_micros(board.now() as u32);
@@ -139,6 +130,18 @@ fn a_stay_that_hears_nothing_ends_the_search_after_a_turn_of_home() {
     board.timeline();
     board.see(Error);
     assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "until the next error");
+}
+
+#[test]
+fn a_heartbeat_follows_each_pause() {
+    let mut board = powered_on(BitRate::Kbit250, 60_000);
+    board.is_acknowledged = false;
+    board.configure("13 00 06, 15 00 00");
+    board.timeline();
+    board.pass_ms(3_000);
+    let timeline = board.timeline();
+    let count = |end| timeline.iter().filter(|act| act.ends_with(end)).count();
+    assert_eq!((count("stop"), count("740: 7F")), (4, 4), "{timeline:?}");
 }
 
 #[test]
