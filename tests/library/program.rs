@@ -1,5 +1,6 @@
 //! Program download (CiA 302-3) at the node.
 
+use canopen_node::application::Domain;
 use canopen_node::{
     Action, Application, Confirmation, Instant, Node, Program, nmt, object_dictionary::DataType,
     objects, sdo::Abort,
@@ -88,12 +89,39 @@ impl Program for Download {
 
 objects! {
     /// A loader.
-    struct Loader, values LoaderValue;
+    pub struct Loader, values LoaderValue;
 
     private download: Download = Download::NONE;
 
+    private notes: Vec<u8> = Vec::new();
+
     0x2100 {
         0 "Value" value: u8 = 7, rw;
+    }
+    0x2101 {
+        0 "Notes" notes_domain: Domain = Domain, rw with read_notes and write_notes;
+    }
+}
+
+impl Loader {
+    fn read_notes(&self) -> &[u8] {
+        &self.notes
+    }
+
+    fn write_notes(&mut self, offset: usize, bytes: &[u8]) -> Result<(), Abort> {
+        self.notes.truncate(offset);
+        self.notes.extend(bytes);
+        Ok(())
+    }
+
+    /// Lets the program have no room, or have room again.
+    pub fn set_full(&mut self, is_full: bool) {
+        self.download.is_full = is_full;
+    }
+
+    /// The answer that the program has kept.
+    pub fn take_kept(&mut self) -> Option<Confirmation> {
+        self.download.kept.take()
     }
 }
 
@@ -308,7 +336,17 @@ fn a_program_that_takes_no_data_refuses_it() {
     assert_eq!(board.sdo("C2 50 1F 01 03"), ["5C0: A4 50 1F 01 7F 00 00 00"]);
     assert_eq!(board.sdo("81 01 02 03"), ["5C0: A2 01 7F 00 00 00 00 00"]);
     assert_eq!(board.sdo("D1"), ["5C0: 80 50 1F 01 22 00 00 08"]);
-    assert_eq!(board.sdo("C0 50 1F 01"), ["5C0: A4 50 1F 01 7F 00 00 00"]);
-    assert_eq!(board.sdo("81"), ["5C0: A2 01 7F 00 00 00 00 00"]);
-    assert_eq!(board.sdo("DD"), ["5C0: 80 50 1F 01 22 00 00 08"], "nothing is no program");
+    assert_eq!(board.sdo("C2 50 1F 01 0E"), ["5C0: A4 50 1F 01 7F 00 00 00"]);
+    assert_eq!(board.sdo("01 01 02 03 04 05 06 07"), SILENCE, "the block has 127 segments");
+    assert_eq!(board.sdo("02 08 09 0A 0B 0C 0D 0E"), ["5C0: 80 50 1F 01 22 00 00 08"]);
+}
+
+#[test]
+fn a_domain_of_the_application_is_no_program() {
+    let mut board = board();
+    let notes: Vec<_> = (1..=20).collect();
+    assert_eq!(board.download(0x2101, 0, &notes), Ok(()));
+    assert_eq!(board.upload(0x2101, 0), Ok(notes));
+    send(&mut board, &["21 01 21 00 09", "00 01 02 03 04 05 06 07", "80 01 21"]);
+    assert_eq!((download(&mut board).bytes.len(), download(&mut board).aborts), (0, 0));
 }

@@ -17,7 +17,7 @@ use testkit::{
     node_rig::{ADDRESS, defaults, device},
 };
 
-use crate::{application_master::Commander, process_data::Machine};
+use crate::{application_master::Commander, process_data::Machine, program::Loader};
 
 /// The bus while nothing happens.
 const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
@@ -471,6 +471,8 @@ fn filters_get_the_cob_ids_in_full_lists() {
     };
     assert!(receives.lists().eq([[1, 2, 3, 4], [5, 6, 7, 8], [9, 9, 9, 9]]));
     assert!(receives.lists().eq([[1, 2, 3], [4, 5, 6], [7, 8, 9]]));
+    assert_ne!(receives, Receives { all: true, ..receives.clone() });
+    assert_ne!(receives, Receives { rpdos: [5, 7], ..receives.clone() });
 }
 
 #[test]
@@ -615,6 +617,8 @@ fn the_next_segments_of_an_upload_are_made_when_those_before_have_left() {
     board.chip().is_bus_free = false;
     board.receive(&["605: A3 00 00 00 00 00 00 00"]);
     board.pass_ms(200);
+    board.chip().complete();
+    board.runner.handle_transmitted();
     board.receive(&["605: 80 08 10 00 00 00 00 00"]);
     board.free_bus();
     let sent = board.take_sent().texts();
@@ -737,4 +741,72 @@ fn traffic_that_ends_in_frames_begins_no_search() {
         let listens = board.take_starts().iter().any(|(mode, _)| *mode == Mode::Listen);
         assert_eq!(listens, !understands);
     }
+}
+
+/// The number of alarms in the next second, with this level of the bus at the indicators' steps, every 50 ms.
+fn alarms_of_a_second(board: &mut Board, is_recessive: impl Fn(u32) -> bool) -> usize {
+    let mut alarms = 0;
+    for ms in 0..1_000 {
+        board.chip().sample = Sample { is_recessive: is_recessive(ms), is_transmitting: false };
+        let next_us = board.chip().now_us + 1000;
+        alarms += usize::from(board.chip().alarm_at_us <= next_us);
+        board.pass_ms(1);
+    }
+    alarms
+}
+
+#[test]
+fn the_bus_is_sampled_while_its_rate_is_not_proven_and_it_is_not_idle() {
+    let mut board = searching();
+    board.pass_ms(200);
+    assert_eq!(alarms_of_a_second(&mut board, |_| true), 20, "the steps of the indicators");
+    assert!(board.take_starts().is_empty());
+    assert!(alarms_of_a_second(&mut board, |ms| ms % 2 == 1) > 25);
+    assert_eq!(board.take_starts().first(), Some(&(Mode::Listen, 800)), "it was dominant");
+
+    let mut board = Board::with_node_id();
+    board.receive(&["04 00"]);
+    board.handle_error(BusError::Stuff);
+    assert_eq!(alarms_of_a_second(&mut board, |ms| ms % 2 == 1), 20, "a proven rate");
+}
+
+#[test]
+fn samples_are_a_millisecond_apart_whoever_calls() {
+    let mut board = searching();
+    board.handle_error(BusError::Stuff);
+    board.take_starts();
+    board.chip().sample = DOMINANT;
+    (0..100).for_each(|_| _ = board.runner.handle_alarm());
+    assert_eq!(board.take_starts(), []);
+}
+
+#[test]
+fn two_frame_times_of_traffic_without_a_frame_begin_a_search() {
+    let mut board = searching();
+    for ms in 0.. {
+        board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting: false };
+        board.pass_ms(1);
+        if !board.take_starts().is_empty() {
+            break;
+        }
+    }
+    // The gap between frames and two milliseconds more; at 1 Mbit/s two frames take no whole one.
+    assert_eq!(board.chip().now_us / 1000, 16 + 2 + 1);
+}
+
+#[test]
+fn answers_that_a_program_holds_or_keeps_are_given_at_once() {
+    let device = device(ADDRESS).with_defaults(defaults(5));
+    let mut board = Board::with_application(device, Loader::new());
+    board.pass_ms(1);
+    board.take_sent();
+    board.runner.application(|loader| loader.set_full(true));
+    board.receive(&["605: 21 50 1F 01 07 00 00 00", "605: 01 01 02 03 04 05 06 07"]);
+    assert_eq!(board.take_sent(), ["585: 60 50 1F 01 00 00 00 00"]);
+    board.runner.application(|loader| loader.set_full(false));
+    board.runner.resume();
+    assert_eq!(board.take_sent(), SILENCE, "the program keeps the answer to the last part");
+    let kept = board.runner.application(Loader::take_kept).expect("it has kept it");
+    board.runner.answer(kept, Ok(()));
+    assert_eq!(board.take_sent(), ["585: 20 00 00 00 00 00 00 00"]);
 }
