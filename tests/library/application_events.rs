@@ -185,3 +185,19 @@ fn a_message_that_was_dropped_is_sent_again_an_acknowledged_one_not() {
     board.is_acknowledged = true;
     assert_eq!(board.pass_ms(1_000), ["0C0: 11 43 01 00 00 00 00 00"]);
 }
+
+#[test]
+fn bit_0_of_the_error_register_is_set_with_each_error_of_the_application() {
+    for register in [0x00, 0x01, 0x80, 0x81] {
+        let expected = format!("0C0: 10 43 {:02X} 00 00 00 00 00", register | 1);
+        assert_eq!(report(&mut board(), 0x4310, register, [0; 5]), [&*expected]);
+    }
+}
+
+#[test]
+fn the_error_code_0_is_no_error() {
+    let mut board = board();
+    assert!(!board.node.report(0, 0x08, [0; 5]));
+    assert_eq!(board.pass_us(0), SILENCE);
+    assert_eq!(board.number(0x1001, 0), 0);
+}

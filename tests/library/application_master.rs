@@ -7,14 +7,14 @@ use canopen_node::{
 };
 use testkit::{
     flash::BoardFlash,
-    frames::{SILENCE, stranger},
+    frames::{Frames, SILENCE, of_master, stranger},
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
 };
 
 objects! {
     /// A master.
-    struct Commander, values CommanderValue;
+    pub struct Commander, values CommanderValue;
 
     private heard: Vec<Frame> = Vec::new();
     private stored: Vec<Result<(), StoreError>> = Vec::new();
@@ -35,6 +35,13 @@ impl Application for Commander {
         if let Event::Stored(outcome) = event {
             self.stored.push(outcome);
         }
+    }
+}
+
+impl Commander {
+    /// The outcomes of its stores.
+    pub fn stored(&self) -> &[Result<(), StoreError>] {
+        &self.stored
     }
 }
 
@@ -158,6 +165,33 @@ fn a_store_of_a_master_waits_for_that_of_a_client() {
     assert!(board.is_storing(), "that of the master");
     board.finish_store();
     assert_eq!(board.node.application().stored, [Ok(())]);
+}
+
+/// Asks for a store of all values, as a client.
+fn ask_for_a_store(board: &mut NodeRig<Commander>) -> Frames {
+    board.receive(&of_master("640: 23 10 10 01 73 61 76 65"))
+}
+
+#[test]
+fn the_store_of_a_client_is_answered_on_a_master_but_not_after_a_reset() {
+    let mut board = board();
+    assert_eq!(ask_for_a_store(&mut board), SILENCE);
+    assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
+
+    ask_for_a_store(&mut board);
+    board.nmt("82 40");
+    assert_eq!(board.finish_store(), SILENCE);
+    assert_eq!(board.node.application().stored, [], "it is not the master's");
+}
+
+#[test]
+fn the_store_of_a_client_that_waits_on_a_master_is_forgotten_by_a_reset() {
+    let mut board = board();
+    board.configure("17");
+    ask_for_a_store(&mut board);
+    board.nmt("82 40");
+    assert_eq!(board.finish_store(), ["17 00"]);
+    assert!(!board.is_storing());
 }
 
 #[test]

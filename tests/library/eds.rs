@@ -112,6 +112,33 @@ fn a_dummy_is_in_use_if_an_rpdo_takes_it_with_its_number_of_bits() {
 }
 
 #[test]
+fn the_objects_of_pdos_have_their_names_and_limits() {
+    let sections = parse(&sheet_of(&Machine::new()));
+    for (object, name, highest) in [
+        ("1005", "COB-ID SYNC", ""),
+        ("1400", "RPDO communication parameter 1", ""),
+        ("1400sub0", "Highest sub-index supported", ""),
+        ("1401sub1", "COB-ID used by RPDO", ""),
+        ("1400sub2", "Transmission type", ""),
+        ("1400sub5", "Event timer", ""),
+        ("1600sub0", "Number of mapped objects", "8"),
+        ("1600sub1", "Application object", ""),
+        ("1801", "TPDO communication parameter 2", ""),
+        ("1800sub0", "Highest sub-index supported", ""),
+        ("1800sub1", "COB-ID used by TPDO", ""),
+        ("1800sub2", "Transmission type", ""),
+        ("1800sub3", "Inhibit time", ""),
+        ("1800sub5", "Event timer", ""),
+        ("1800sub6", "SYNC start value", "240"),
+        ("1A00sub0", "Number of mapped objects", "8"),
+        ("1A00sub8", "Application object", ""),
+    ] {
+        let limit = sections[object].get("HighLimit").map_or("", |limit| limit);
+        assert_eq!((&*sections[object]["ParameterName"], limit), (name, highest), "{object}");
+    }
+}
+
+#[test]
 fn each_kind_of_value_is_described_as_cia_306_says() {
     let sections = parse(&kinds());
     for (name, expected) in [

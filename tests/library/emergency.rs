@@ -221,6 +221,7 @@ fn error_passive_is_8120_and_its_end_is_no_error() {
         assert_eq!(count(&mut board, transmit, 0), [ERROR_PASSIVE]);
         assert_eq!(board.number(0x1001, 0), 0x11);
         assert_eq!(count(&mut board, transmit, 127), SILENCE, "once");
+        assert_eq!(count(&mut board, 127, 96), SILENCE, "the warning level");
         assert_eq!(count(&mut board, 127, 95), [NO_ERROR]);
         assert_eq!(board.number(0x1001, 0), 0);
         assert_eq!(count(&mut board, 0, 0), SILENCE, "no error is reported once");

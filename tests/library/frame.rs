@@ -1,6 +1,6 @@
 //! Frames: construction, content, equality.
 
-use canopen_node::Frame;
+use canopen_node::{BitRate, Frame};
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 
 #[test]
@@ -57,4 +57,13 @@ fn an_embedded_can_frame_is_a_data_frame_with_a_standard_id() {
     assert_eq!(made::<Frame>(id, &[0; 9]), None);
     assert_eq!(made::<Frame>(ExtendedId::new(0x7E5).expect("an id"), &[4, 1]), None);
     assert_eq!(Frame::new_remote(id, 2), None);
+}
+
+#[test]
+fn the_longest_time_of_a_frame_has_the_most_stuff_bits() {
+    for (len, bits) in [(0, 55), (1, 65), (8, 135)] {
+        let frame = Frame::new(0x7E5, &[0; 8][..len]).expect("a frame");
+        assert_eq!(frame.longest_micros(BitRate::Kbit1000), bits, "{len} bytes");
+        assert_eq!(frame.longest_micros(BitRate::Kbit800), (bits * 5).div_ceil(4), "{len} bytes");
+    }
 }

@@ -1,6 +1,6 @@
 //! The bit rate, persistent, pending and active (CiA 305, configure bit timing parameters).
 
-use canopen_node::{BitRate, BitRates, Node};
+use canopen_node::{BitRate, BitRateSetting, BitRates, Node};
 use testkit::{
     frames::Frames,
     node_rig::{ADDRESS, NodeRig, defaults, device},
@@ -36,6 +36,17 @@ fn a_rate_that_a_product_leaves_out_is_refused_and_changes_nothing() {
     assert_eq!(board.lss("13 00 00"), ["13 01"]);
     assert_eq!(pending(&mut board), 500);
     assert_eq!(rates.fastest(), BitRate::Kbit800);
+}
+
+#[test]
+fn a_set_of_rates_without_one_has_the_others_and_one_of_one_no_other() {
+    let all = BitRates::possible(40_000_000);
+    for rate in BitRate::ALL {
+        for other in BitRate::ALL {
+            assert_eq!(all.without(rate).contains(other), rate != other, "{rate} and {other}");
+            assert_eq!(BitRates::only(rate).contains(other), rate == other, "{rate} and {other}");
+        }
+    }
 }
 
 #[test]
@@ -90,4 +101,10 @@ fn an_unsupported_stored_bit_rate_is_searched_for_by_listening() {
     let node = Node::new(device, Some(settings));
     assert!(node.is_listening());
     assert!(device.bit_rates.contains(node.bit_rate()));
+}
+
+#[test]
+fn a_setting_is_written_as_its_rate_or_as_automatic() {
+    assert_eq!(BitRateSetting::Fixed(BitRate::Kbit125).to_string(), "125 kbit/s");
+    assert_eq!(BitRateSetting::Automatic.to_string(), "automatic");
 }

@@ -188,3 +188,16 @@ fn a_running_store_survives_reset_communication_and_is_answered() {
     assert_eq!(board.finish_store(), ["17 00"]);
     assert_eq!(board.power_cycle(), ["705: 00"]);
 }
+
+#[test]
+fn a_byte_that_is_no_node_id_and_a_store_that_fails_say_why() {
+    let invalid = NodeId::from_lss(0x80).unwrap_err();
+    assert_eq!(invalid.to_string(), "neither a node-ID (1 to 127) nor FFh");
+    for (error, why) in [
+        (StoreError::NotSupported, "the device cannot store"),
+        (StoreError::MediumAccess, "the storage medium failed"),
+        (StoreError::Full, "the storage medium is full until the next start"),
+    ] {
+        assert_eq!(error.to_string(), why);
+    }
+}

@@ -37,6 +37,7 @@ mod process_data_receive;
 mod process_data_sixteen;
 mod process_data_stored;
 mod process_data_transmit;
+mod program;
 mod runner;
 mod sdo;
 mod sdo_block;

@@ -3,7 +3,7 @@
 use canopen_node::{
     BusEvent,
     lss::Address,
-    object_dictionary::{Access, Entry, TABLE},
+    object_dictionary::{Access, DataType, Entry, TABLE},
 };
 use testkit::{
     flash::BoardFlash,
@@ -206,4 +206,36 @@ fn every_other_sub_index_of_an_object_does_not_exist() {
             }
         }
     }
+}
+
+#[test]
+fn an_integer_type_reaches_from_its_lowest_to_its_highest_number() {
+    use DataType::*;
+    let signed = [
+        (Integer8, 8),
+        (Integer16, 16),
+        (Integer24, 24),
+        (Integer32, 32),
+        (Integer40, 40),
+        (Integer48, 48),
+        (Integer56, 56),
+        (Integer64, 64),
+    ];
+    let unsigned = [
+        (Unsigned8, 8),
+        (Unsigned16, 16),
+        (Unsigned24, 24),
+        (Unsigned32, 32),
+        (Unsigned40, 40),
+        (Unsigned48, 48),
+        (Unsigned56, 56),
+        (Unsigned64, 64),
+    ];
+    let signed = signed.map(|(of, bits)| (of, -(1_i128 << (bits - 1)), (1 << (bits - 1)) - 1));
+    let unsigned = unsigned.map(|(of, bits)| (of, 0, (1_i128 << bits) - 1));
+    for (of, low, high) in signed.into_iter().chain(unsigned) {
+        assert!(of.reaches(low, high), "{of:?}");
+        assert!(!of.reaches(low - 1, high) && !of.reaches(low, high + 1), "{of:?}");
+    }
+    assert!([Boolean, Real64, VisibleString].iter().all(|of| of.reaches(i128::MIN, i128::MAX)));
 }

@@ -1,6 +1,9 @@
 //! Parameters in the settings log, without power cuts: places written, failing flash, damaged content, older firmware.
 
-use canopen_node::settings::{Error, Found, Log};
+use canopen_node::settings::{
+    Error, Found, Log,
+    parameters::{Packer, Parameter},
+};
 use testkit::{
     flash::Flash,
     random::Random,
@@ -73,6 +76,44 @@ fn parameters_that_are_removed_are_gone() {
     assert_eq!(log.store_with_parameters(settings(1), &[]), Ok(()));
     assert_eq!((log.parameters(), flash.writes()), (&[][..], writes + 10));
     assert_eq!(start(&flash).1, (Some(settings(1)), Vec::new()));
+}
+
+#[test]
+fn parameters_that_the_node_did_not_take_are_replaced_by_the_next_store() {
+    // Each takes a part of its own.
+    let [first, second, third] = [1, 2, 3].map(|n| packed(n, 18));
+    let flash = Chip::blank(7);
+    let (mut log, ..) = start(&flash);
+    let before = [&first[..], &second].concat();
+    assert_eq!(log.store_with_parameters(settings(1), &before), Ok(()));
+    let (mut log, _) = ParametersLog::open_with_parameters(flash.clone());
+    assert_eq!(log.restore(|parameter| parameter.value[0] == 2), Ok(()));
+    assert_eq!(log.parameters(), second);
+    let after = [&second[..], &third].concat();
+    assert_eq!(log.store_with_parameters(settings(1), &after), Ok(()));
+    assert_eq!(start(&flash).1, (Some(settings(1)), after));
+}
+
+#[test]
+fn bytes_that_read_blank_are_stored_behind_shorter_parameters() {
+    let blank = |len: u8| [&[0x00, 0x21, 1, 0x0A, len, 0][..], &vec![0xFF; len.into()]].concat();
+    let (mut log, flash) = with_content_1();
+    for len in [18, 60] {
+        assert_eq!(log.store_with_parameters(settings(1), &blank(len)), Ok(()));
+        assert_eq!(start(&flash).1, (Some(settings(1)), blank(len)), "{len} bytes");
+    }
+}
+
+#[test]
+fn a_parameter_that_does_not_fit_into_the_pack_is_left_out() {
+    let value = Parameter { index: 0x2100, sub_index: 1, data_type: 0x0A, value: &[1, 2] };
+    let mut bytes = [0; 8];
+    for (room, len) in [(8, 8), (7, 0)] {
+        let mut packer = Packer::new(&mut bytes[..room]);
+        assert!(packer.is_empty());
+        packer.put(&value);
+        assert_eq!((packer.len(), packer.is_empty()), (len, len == 0), "{room} bytes of room");
+    }
 }
 
 #[test]

@@ -6,6 +6,7 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 use crate::process_data::{Board, Machine, change, map, set};
@@ -64,7 +65,18 @@ fn a_heartbeat_waits_alone_on_a_bus_without_others() {
     assert_eq!(board.pass_ms(10_000), ["740: 7F"]);
     board.is_acknowledged = true;
     assert_eq!(board.see(BusEvent::NonePending), SILENCE);
-    assert_eq!(board.pass_ms(100), ["740: 7F"], "half an hour ago or now, it is one");
+    assert_eq!(board.pass_ms(99), SILENCE, "those that were due meanwhile are left out");
+    assert_eq!(board.pass_ms(1), ["740: 7F"]);
+}
+
+#[test]
+fn a_heartbeat_that_was_off_for_an_hour_begins_on_time() {
+    let mut board = NodeRig::with_heartbeat(0x40, 100);
+    assert_eq!(board.pass_ms(100), ["740: 7F"]);
+    assert_eq!(board.download(0x1017, 0, &[0, 0]), Ok(()));
+    assert_eq!(board.pass_ms(3_600_000), SILENCE);
+    assert_eq!(board.download(0x1017, 0, &[100, 0]), Ok(()));
+    assert_eq!(board.pass_ms(100), ["740: 7F"]);
 }
 
 #[test]

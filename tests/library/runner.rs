@@ -7,6 +7,7 @@ use canopen_node::{
     Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives,
     application::NoApplication,
     indicator::BusState,
+    lss::StoreError,
     runner::{self, BusError, Controller, Mode, Received, Runner, Sample, System},
     settings::{Found, Log},
 };
@@ -16,7 +17,7 @@ use testkit::{
     node_rig::{ADDRESS, defaults, device},
 };
 
-use crate::process_data::Machine;
+use crate::{application_master::Commander, process_data::Machine, program::Loader};
 
 /// The bus while nothing happens.
 const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
@@ -37,6 +38,8 @@ struct Chip {
     sent: Vec<Frame>,
     /// The rates at which the controller was started.
     starts: Vec<(Mode, u16)>,
+    /// Whether it was asked to receive all frames, each time afterwards.
+    receives_all: Vec<bool>,
     refused_starts: usize,
     error: Option<BusError>,
     state: BusState,
@@ -70,6 +73,10 @@ impl Controller for Handle {
         chip.starts.push((mode, bit_rate.kbit_per_s()));
         chip.refused_starts = chip.refused_starts.saturating_sub(1);
         chip.refused_starts == 0
+    }
+
+    fn set_receives<N: Numbers>(&mut self, receives: &Receives<N>) {
+        self.0.borrow_mut().receives_all.push(receives.all);
     }
 
     fn receive(&mut self) -> Option<Received> {
@@ -159,6 +166,7 @@ impl<A: Application> Board<A> {
             is_bus_free: true,
             sent: Vec::new(),
             starts: Vec::new(),
+            receives_all: Vec::new(),
             refused_starts: 0,
             error: None,
             state: BusState::Good,
@@ -463,6 +471,8 @@ fn filters_get_the_cob_ids_in_full_lists() {
     };
     assert!(receives.lists().eq([[1, 2, 3, 4], [5, 6, 7, 8], [9, 9, 9, 9]]));
     assert!(receives.lists().eq([[1, 2, 3], [4, 5, 6], [7, 8, 9]]));
+    assert_ne!(receives, Receives { all: true, ..receives.clone() });
+    assert_ne!(receives, Receives { rpdos: [5, 7], ..receives.clone() });
 }
 
 #[test]
@@ -567,4 +577,236 @@ fn a_poll_says_when_the_next_one_is_due() {
     _ = board.runner.poll(&mut log);
     assert_eq!(board.chip().now_us, end_of_the_delay);
     assert_eq!(board.take_starts(), [(Mode::TakePart, 500)]);
+}
+
+#[test]
+fn bus_off_at_an_unproven_rate_begins_to_listen() {
+    let mut board = searching();
+    board.chip().state = BusState::BusOff;
+    board.runner.handle_status();
+    assert!(board.runner.is_bus_off());
+    assert_eq!(board.take_starts(), [(Mode::Listen, 1000)]);
+}
+
+#[test]
+fn the_controller_filters_frames_once_the_rate_is_proven() {
+    let mut board = searching();
+    board.receive(&["04 00"]);
+    assert_eq!(board.chip().receives_all, [false]);
+}
+
+#[test]
+fn a_frame_that_was_found_by_listening_counts_where_it_was_found() {
+    let mut board = searching();
+    board.handle_error(BusError::Stuff);
+    board.handle_error(BusError::Form);
+    board.take_starts();
+    // The stay has ended, but nobody has looked.
+    board.chip().now_us += 100_000;
+    board.receive(&["04 00"]);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 800)]);
+}
+
+#[test]
+fn the_next_segments_of_an_upload_are_made_when_those_before_have_left() {
+    let device = device(ADDRESS).with_defaults(defaults(5));
+    let mut board = Board::new(device.with_name("a name that takes four segments"));
+    board.pass_ms(1);
+    board.receive(&["605: A0 08 10 00 7F 00 00 00"]);
+    board.take_sent();
+    board.chip().is_bus_free = false;
+    board.receive(&["605: A3 00 00 00 00 00 00 00"]);
+    board.pass_ms(200);
+    board.chip().complete();
+    board.runner.handle_transmitted();
+    board.receive(&["605: 80 08 10 00 00 00 00 00"]);
+    board.free_bus();
+    let sent = board.take_sent().texts();
+    assert_eq!(sent.iter().map(|text| &text[..7]).collect::<Vec<_>>(), ["585: 01", "585: 02"]);
+}
+
+/// The number of changes of RUN in the next 2 s, as long as `goes_on`; and the number of steps.
+fn changes_of_run(board: &mut Board, goes_on: impl Fn(&Board) -> bool) -> (usize, usize) {
+    let mut steps = Vec::new();
+    while steps.len() < 40 && goes_on(board) {
+        board.chip().now_us += 1000;
+        steps.extend(board.runner.handle_alarm().map(|lit| lit.run));
+    }
+    (steps.windows(2).filter(|pair| pair[0] != pair[1]).count(), steps.len())
+}
+
+#[test]
+fn the_indicators_flicker_while_configured_listening_or_without_node_id() {
+    let mut board = Board::with_node_id();
+    let (changes, steps) = changes_of_run(&mut board, |_| true);
+    assert!(changes <= 10 && steps == 40, "it blinks in NMT pre-operational");
+    board.receive(&["04 01"]);
+    assert_eq!(changes_of_run(&mut board, |_| true), (39, 40), "LSS configuration state");
+    assert_eq!(changes_of_run(&mut searching(), |_| true), (39, 40), "without a node-ID");
+
+    let device = device(ADDRESS).with_defaults(defaults(5)).with_rescue(true);
+    let mut board = Board::new(device);
+    board.chip().is_bus_free = false;
+    board.pass_ms(1);
+    board.handle_error(BusError::Stuff);
+    let (changes, steps) = changes_of_run(&mut board, |board| board.runner.node().is_listening());
+    assert!(steps > 10 && changes == steps - 1, "{changes} changes in {steps} steps");
+}
+
+#[test]
+fn what_an_application_asks_the_runner_for_is_done_at_once() {
+    let mut board = operational("00");
+    board.chip().is_bus_free = true;
+    assert!(board.runner.is_idle() && !board.runner.is_bus_off());
+    assert!(board.runner.report(0x4310, 0x08, [1, 2, 3, 4, 5]));
+    board.runner.handle_transmitted();
+    assert!(!board.runner.report(0, 0x08, [0; 5]));
+    board.runner.end_report(0x4310);
+    board.runner.send_tpdo(1);
+    assert_eq!(
+        board.take_sent(),
+        ["085: 10 43 09 01 02 03 04 05", "085: 00 00 00 00 00 00 00 00", "185: 00 00 00"]
+    );
+    board.chip().is_bus_free = false;
+    board.runner.send_tpdo(1);
+    assert!(!board.runner.is_idle(), "a frame waits");
+}
+
+#[test]
+fn what_a_master_asks_the_runner_for_is_done_at_once() {
+    let device = device(ADDRESS).with_defaults(defaults(5));
+    let mut board = Board::with_application(device, Commander::new());
+    board.pass_ms(1);
+    board.take_sent();
+    board.runner.send(frames::stranger());
+    assert_eq!(board.take_sent(), ["181: 01 02 03"]);
+    assert_eq!([(); 3].map(|()| board.runner.store_values()), [true, true, false], "one waits");
+    let errors = [StoreError::NotSupported, StoreError::Full];
+    errors.into_iter().for_each(|error| board.runner.refuse_store(error));
+    board.runner.application(|master| assert_eq!(master.stored(), errors.map(Err)));
+    board.take_starts();
+    assert!(board.runner.switch_bit_rate(BitRate::Kbit125, 0));
+    assert_eq!(board.take_starts(), [(Mode::TakePart, 125)]);
+    assert!(board.runner.switch_bit_rate(BitRate::Kbit500, 9));
+    assert!(!board.runner.switch_bit_rate(BitRate::Kbit800, 9), "one at a time");
+}
+
+#[test]
+fn a_controller_with_room_gets_only_what_is_more_urgent_than_the_queue() {
+    let mut board = operational("00");
+    // The second answer waits in the queue, and another place of the controller becomes free.
+    board.receive(&["605: 40 00 10 00 00 00 00 00", "605: 40 18 10 01 00 00 00 00"]);
+    let in_controller = |board: &Board<Machine>| {
+        let frame = board.chip().place.take();
+        frame.map(|frame| frame.cob_id())
+    };
+    assert_eq!(in_controller(&board), Some(0x585));
+    board.receive(&["04 01", "5A", "605: 40 18 10 02 00 00 00 00"]);
+    assert_eq!(in_controller(&board), None, "neither 7E4h nor 585h is more urgent than 585h");
+    board.runner.report(0x4310, 0, [0; 5]);
+    assert_eq!(in_controller(&board), Some(0x085));
+    board.runner.handle_transmitted();
+    board.free_bus();
+    let ids: Vec<_> = board.take_sent().0.iter().map(Frame::cob_id).collect();
+    assert_eq!(ids, [0x585, 0x585, 0x7E4]);
+}
+
+#[test]
+fn a_heartbeat_and_a_pdo_wait_once_and_the_pdo_with_its_latest_values() {
+    let mut board = operational("00");
+    // It takes the place in the controller.
+    board.receive(&["605: 40 00 10 00 00 00 00 00"]);
+    for level in 1..4 {
+        board.runner.application(|machine| machine.level = level);
+    }
+    board.free_bus();
+    let sent = board.take_sent();
+    assert_eq!(sent.0.len(), 2, "{sent:?}");
+    assert_eq!(sent.texts()[1], "185: 00 03 00");
+}
+
+#[test]
+fn traffic_that_ends_in_frames_begins_no_search() {
+    for understands in [true, false] {
+        let mut board = searching();
+        board.chip().is_bus_free = false;
+        for ms in 0..500 {
+            board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting: false };
+            board.pass_ms(1);
+            if understands && ms % 10 == 0 {
+                board.chip().received.push_back(Received::Overrun);
+                board.runner.handle_received();
+            }
+        }
+        let listens = board.take_starts().iter().any(|(mode, _)| *mode == Mode::Listen);
+        assert_eq!(listens, !understands);
+    }
+}
+
+/// The number of alarms in the next second, with this level of the bus at the indicators' steps, every 50 ms.
+fn alarms_of_a_second(board: &mut Board, is_recessive: impl Fn(u32) -> bool) -> usize {
+    let mut alarms = 0;
+    for ms in 0..1_000 {
+        board.chip().sample = Sample { is_recessive: is_recessive(ms), is_transmitting: false };
+        let next_us = board.chip().now_us + 1000;
+        alarms += usize::from(board.chip().alarm_at_us <= next_us);
+        board.pass_ms(1);
+    }
+    alarms
+}
+
+#[test]
+fn the_bus_is_sampled_while_its_rate_is_not_proven_and_it_is_not_idle() {
+    let mut board = searching();
+    board.pass_ms(200);
+    assert_eq!(alarms_of_a_second(&mut board, |_| true), 20, "the steps of the indicators");
+    assert!(board.take_starts().is_empty());
+    assert!(alarms_of_a_second(&mut board, |ms| ms % 2 == 1) > 25);
+    assert_eq!(board.take_starts().first(), Some(&(Mode::Listen, 800)), "it was dominant");
+
+    let mut board = Board::with_node_id();
+    board.receive(&["04 00"]);
+    board.handle_error(BusError::Stuff);
+    assert_eq!(alarms_of_a_second(&mut board, |ms| ms % 2 == 1), 20, "a proven rate");
+}
+
+#[test]
+fn samples_are_a_millisecond_apart_whoever_calls() {
+    let mut board = searching();
+    board.handle_error(BusError::Stuff);
+    board.take_starts();
+    board.chip().sample = DOMINANT;
+    (0..100).for_each(|_| _ = board.runner.handle_alarm());
+    assert_eq!(board.take_starts(), []);
+}
+
+#[test]
+fn two_frame_times_of_traffic_without_a_frame_begin_a_search() {
+    let mut board = searching();
+    for ms in 0.. {
+        board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting: false };
+        board.pass_ms(1);
+        if !board.take_starts().is_empty() {
+            break;
+        }
+    }
+    // The gap between frames and two milliseconds more; at 1 Mbit/s two frames take no whole one.
+    assert_eq!(board.chip().now_us / 1000, 16 + 2 + 1);
+}
+
+#[test]
+fn answers_that_a_program_holds_or_keeps_are_given_at_once() {
+    let device = device(ADDRESS).with_defaults(defaults(5));
+    let mut board = Board::with_application(device, Loader::new());
+    board.pass_ms(1);
+    board.take_sent();
+    board.runner.application(|loader| loader.set_full(true));
+    board.receive(&["605: 21 50 1F 01 07 00 00 00", "605: 01 01 02 03 04 05 06 07"]);
+    assert_eq!(board.take_sent(), ["585: 60 50 1F 01 00 00 00 00"]);
+    board.runner.application(|loader| loader.set_full(false));
+    board.runner.resume();
+    assert_eq!(board.take_sent(), SILENCE, "the program keeps the answer to the last part");
+    let kept = board.runner.application(Loader::take_kept).expect("it has kept it");
+    board.runner.answer(kept, Ok(()));
+    assert_eq!(board.take_sent(), ["585: 20 00 00 00 00 00 00 00"]);
 }

@@ -1,7 +1,7 @@
 //! The SDO server (CiA 301, 7.2.4) on the wire: its transfers, the states in which it serves them, and the requests that
 //! it refuses, with their abort codes (table 22).
 
-use canopen_node::{BusEvent, Frame, Instant};
+use canopen_node::{BusEvent, Frame, Instant, sdo::Abort};
 use testkit::{
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
@@ -188,4 +188,15 @@ fn a_reset_discards_a_request_that_waits_for_the_bus() {
     }
     board.report(BusEvent::BusOff);
     assert_eq!(board.nmt("82 00"), ["740: 00"]);
+}
+
+#[test]
+fn an_abort_code_is_written_with_its_reason_and_its_number() {
+    for (code, words) in [
+        (Abort::Toggle, "the toggle bit has not changed (05030000h)"),
+        (Abort::NoObject, "no such object (06020000h)"),
+        (Abort::NoData, "no data available (08000024h)"),
+    ] {
+        assert_eq!(code.to_string(), words);
+    }
 }

@@ -464,3 +464,18 @@ fn a_stuck_bit_in_the_other_bank_loses_nothing() {
         }
     }
 }
+
+#[test]
+fn each_failure_says_what_the_flash_does_and_what_to_do() {
+    for (error, what) in [
+        (Error::Refused, "the flash reports an error"),
+        (Error::NotBlank, "the flash is not blank where it was erased"),
+        (Error::NotAsWritten, "the flash reads back otherwise than written"),
+        (
+            Error::Full,
+            "the flash is full: reset the node (NMT command 81h) or switch it off and on",
+        ),
+    ] {
+        assert_eq!(error.to_string(), what);
+    }
+}

@@ -36,6 +36,7 @@ fn stored_settings_are_found_at_the_next_open() {
             assert_eq!(log.store(settings), Ok(()));
             assert_eq!(log.settings(), Some(settings));
             assert_eq!(open(&flash), (Some(settings), Found::Complete));
+            assert_eq!(Log::<_, 0>::peek(flash.clone()), Some(settings), "one who only reads");
         }
     }
 }
@@ -137,6 +138,31 @@ fn a_start_appends_a_record_that_is_not_certain_once_more_and_the_next_writes_no
         (log, _) = Log::open(flash.clone());
         assert_eq!((flash.writes(), flash.erases()), (writes + 10, 2));
         assert_eq!(log.settings(), Some(settings(2 * n + 1)));
+    }
+}
+
+#[test]
+fn a_start_after_one_whose_erase_was_cut_erases_and_writes_one_record() {
+    let records = [0, 1]
+        .map(|place| (0, place, with_other_bank(record(409 + place as u32, 1, 5, 2), place as u8)));
+    let flash: BoardFlash = flash_with(&[records[0], records[1], (1, 0, [0; 32])]);
+    let stored = Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5));
+    assert_eq!(open(&flash), (Some(stored), Found::Complete));
+    assert_eq!((flash.writes(), flash.erases()), (10, 1), "that the bank is erased");
+}
+
+#[test]
+fn a_start_leaves_eight_places_blank_however_many_there_were() {
+    for used in 2..25 {
+        let records = (0..used).map(|n| (0, n, record(100 + n as u32, 1, 5, 2)));
+        let records: Vec<_> = records.chain([(1, 0, [0; 32])]).collect();
+        let flash = flash_with::<4, 1024>(&records);
+        open(&flash);
+        let content = flash.content();
+        let blank = |bank: &[u8]| bank.iter().rev().take_while(|&&byte| byte == 0xFF).count();
+        let [first, second] = [&content[..1000], &content[1024..2024]].map(blank);
+        assert_eq!(first.max(second), 1000, "a bank is erased");
+        assert!(first.min(second) >= 8 * PLACE, "{used} places were used");
     }
 }
 

@@ -156,3 +156,14 @@ fn a_loop_that_polls_a_slave_ends_in_every_state() {
     assert_eq!([is_settled, is_switching, is_listening, is_guest, has_stored], [true; 5]);
     assert_eq!(actions, [true; 5]);
 }
+
+#[test]
+fn a_slave_that_answers_the_request_that_proves_its_rate_has_nothing_due() {
+    let rates = BitRates::possible(40_000_000);
+    let settings = Settings::new(BitRate::Kbit125.into());
+    let mut slave = Slave::new(ADDRESS, rates, settings).with_rescue();
+    let now = Instant::from_micros(0);
+    assert!(slave.handle_frame(&Request::IdentifyNonConfigured.to_frame(), now).is_some());
+    while slave.poll(now).is_some() {}
+    assert_eq!(slave.poll_at(), None);
+}

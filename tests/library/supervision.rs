@@ -133,6 +133,18 @@ fn a_stay_that_hears_nothing_ends_the_search_after_a_turn_of_home() {
 }
 
 #[test]
+fn a_heartbeat_follows_each_pause() {
+    let mut board = powered_on(BitRate::Kbit250, 60_000);
+    board.is_acknowledged = false;
+    board.configure("13 00 06, 15 00 00");
+    board.timeline();
+    board.pass_ms(3_000);
+    let timeline = board.timeline();
+    let count = |end| timeline.iter().filter(|act| act.ends_with(end)).count();
+    assert_eq!((count("stop"), count("740: 7F")), (4, 4), "{timeline:?}");
+}
+
+#[test]
 fn a_turn_of_home_lasts_30_ms_and_18_frames_at_every_rate() {
     for home in BitRate::ALL {
         let mut board = unproven_at(home, 0);

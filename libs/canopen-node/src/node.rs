@@ -350,13 +350,7 @@ impl<A: Application> Node<A> {
             return;
         }
         self.agenda.add(Tasks::of(&[Task::BitRate]));
-        match event {
-            BusEvent::ErrorCounters { .. }
-            | BusEvent::NonePending
-            | BusEvent::Overrun
-            | BusEvent::BusOffRecovered => {}
-            _ => self.slave.handle_bus_event(event, now),
-        }
+        self.slave.handle_bus_event(event, now);
     }
 
     /// Reports an error of the application by an emergency message (CiA 301, 7.2.7): its error code, bits of the error

@@ -228,7 +228,6 @@ impl<P: Procedure> Session<'_, P> {
                     return Output::SetBitRate(rate);
                 }
                 Step::SlowDown => {
-                    self.singles = 0;
                     self.caution = GREATEST_CAUTION.min(self.caution.saturating_add(1));
                     State::Pause(now)
                 }

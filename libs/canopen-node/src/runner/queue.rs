@@ -2,7 +2,7 @@
 
 use core::cell::Cell;
 
-use crate::{Frame, nmt};
+use crate::Frame;
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
@@ -53,8 +53,8 @@ impl TransmitQueue {
         self.pending().last().is_some_and(|next| frame.cob_id() < next.cob_id())
     }
 
-    /// Adds a frame; returns whether there was room. A heartbeat that is already waiting is not added again, and a PDO
-    /// replaces the waiting one of the same COB-ID, so that a board that is alone on its bus does not accumulate them.
+    /// Adds a frame; returns whether there was room. A PDO replaces the waiting one of the same COB-ID, so that a board
+    /// that is alone on its bus does not accumulate them; of heartbeats the node has one wait at a time.
     pub fn push(&mut self, frame: Frame) -> bool {
         let cob_id = frame.cob_id();
         let pending = self.pending();
@@ -64,9 +64,6 @@ impl TransmitQueue {
             && is_process_data(cob_id)
         {
             *before = frame;
-            return true;
-        }
-        if cob_id & !0x7F == nmt::ERROR_CONTROL_COB_ID && pending.contains(&frame) {
             return true;
         }
         let Some(places) = self.frames.get_mut(at..=self.len) else {
