@@ -3,7 +3,7 @@
 use std::{cmp::Reverse, collections::BTreeSet};
 
 use canopen_node::{BitRate, BitRateSetting, BitRates, bit_rate::BitTiming};
-use testkit::random::Random;
+use testkit::random::{Random, every};
 
 const MHZ: u32 = 1_000_000;
 /// The fastest APB1 of any STM32F4 (RM0402, RM0430: 50 MHz).
@@ -121,7 +121,7 @@ fn a_solution_is_allowed_by_cia_301_and_by_the_registers() {
 
 #[test]
 fn the_solution_is_best_in_rate_crystals_sample_point_and_quanta_in_order() {
-    let odd: Vec<_> = reachable_clocks().into_iter().step_by(7).collect();
+    let odd: Vec<_> = reachable_clocks().into_iter().step_by(7 * every(4)).collect();
     // 20 quanta of one cycle each at 1 Mbit/s: 20 MHz, and 0.1 % on either side, which is allowed, or a little more.
     let limits = [19_979_999, 19_980_000, 20_020_000, 20_020_001];
     let has_1000 = |clock_hz| BitTiming::solve(BitRate::Kbit1000, clock_hz).is_some();
