@@ -33,13 +33,6 @@ pub enum Abort {
     DeviceState = 0x0800_0022,
 }
 
-impl Abort {
-    /// The abort code.
-    pub const fn code(self) -> u32 {
-        self as u32
-    }
-}
-
 /// How the last clear or download ended, or why the last request was refused: 1F57h.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Status {

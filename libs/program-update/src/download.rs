@@ -1,6 +1,9 @@
 //! A download on its way into the flash: the header in RAM, and a ring of the words after it.
 
-use crate::header::{HEADER_LEN, Header};
+use crate::{
+    ROW,
+    header::{HEADER_LEN, Header},
+};
 
 /// The bytes of the header.
 const HEADER: u32 = HEADER_LEN as u32;
@@ -67,6 +70,12 @@ impl<const WORDS: usize> Download<WORDS> {
         &self.bytes
     }
 
+    /// The word of the header at an offset.
+    pub fn header_word(&self, offset: u32) -> u32 {
+        let bytes = self.bytes.get(offset as usize..).and_then(<[u8]>::first_chunk);
+        bytes.copied().map_or(0, u32::from_le_bytes)
+    }
+
     pub fn received(&self) -> u32 {
         self.received
     }
@@ -113,13 +122,14 @@ impl<const WORDS: usize> Download<WORDS> {
         self.partial = 0;
     }
 
-    /// The word that comes next into the flash.
-    pub fn pop(&mut self) -> Option<u32> {
-        self.len = self.len.checked_sub(1)?;
-        let word = self.ring.get(self.first).copied();
-        self.first = wrapped::<WORDS>(self.first, 1);
-        self.taken = self.taken.wrapping_add(1);
-        word
+    /// Fills a row with the words that come next into the flash; returns their number.
+    pub fn take_row(&mut self, row: &mut [u32; ROW]) -> u32 {
+        let words = self.ring.iter().skip(self.first).take(self.len);
+        let len = row.iter_mut().zip(words).map(|(place, word)| *place = *word).count();
+        self.len = self.len.saturating_sub(len);
+        self.first = wrapped::<WORDS>(self.first, len);
+        self.taken = self.taken.wrapping_add(len as u32);
+        len as u32
     }
 
     pub fn is_empty(&self) -> bool {

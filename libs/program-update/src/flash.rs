@@ -2,6 +2,9 @@
 
 use crate::crc;
 
+/// The most words that [`Flash::program`] takes at once.
+pub const ROW: usize = 16;
+
 /// One of the two places of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Area {
@@ -32,11 +35,12 @@ pub trait Flash {
     /// The word at an offset, as the flash holds it and no cache before it.
     fn read(&mut self, area: Area, offset: u32) -> u32;
 
-    /// Starts to program a word, which clears bits only. A word may be programmed more than once between two erases.
+    /// Starts to program words, [`ROW`] of them at most, one after the other from `offset` on. That clears bits only. A
+    /// word may be programmed more than once between two erases. After a word that fails the others are left out.
     ///
     /// # Errors
     /// Nothing was started.
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError>;
+    fn program(&mut self, area: Area, offset: u32, words: &[u32]) -> Result<(), FlashError>;
 
     /// Starts to erase a sector, given by its number in [`sectors`](Self::sectors).
     ///
@@ -68,7 +72,7 @@ pub(crate) fn write<F: Flash>(
     offset: u32,
     word: u32,
 ) -> Result<(), FlashError> {
-    flash.program(area, offset, word)?;
+    flash.program(area, offset, &[word])?;
     loop {
         if let Some(outcome) = flash.poll() {
             outcome?;

@@ -42,7 +42,7 @@ pub mod start;
 mod updater;
 
 pub use answers::{Abort, Object, State, Status};
-pub use flash::{Area, Flash, FlashError};
+pub use flash::{Area, Flash, FlashError, ROW};
 pub use header::{Expected, Header, Release, Signed, Unsigned, Verify};
 pub use mailbox::{Command, Mailbox, Started};
 pub use updater::{Action, Updater};

@@ -1,7 +1,7 @@
 //! What a device starts after a reset.
 
 use crate::{
-    Area, Command, Flash, Header, Mailbox, Started,
+    Area, Command, Flash, Header, Mailbox, Started, crc,
     header::HEADER_LEN,
     journal::{self, Journal, SET, TRY},
 };
@@ -121,13 +121,6 @@ fn begin_trial<F: Flash>(flash: &mut F, journal: &mut Journal) -> bool {
 
 /// The header of the program in an area, if both are right: CRC of the header, length, CRC of the program.
 pub fn program_in<F: Flash>(flash: &mut F, area: Area) -> Option<Header> {
-    let header = header_in(flash, area)?;
-    let crc = flash.crc(area, HEADER_LEN as u32, header.length / 4, crate::crc::BEGIN);
-    (!crc == header.crc).then_some(header)
-}
-
-/// The header in an area, if it and the length in it are right.
-pub(crate) fn header_in<F: Flash>(flash: &mut F, area: Area) -> Option<Header> {
     let mut bytes = [0xFF; HEADER_LEN];
     let (words, _) = bytes.as_chunks_mut();
     // What follows is FFh in a header, and the journal in BACKUP.
@@ -136,12 +129,11 @@ pub(crate) fn header_in<F: Flash>(flash: &mut F, area: Area) -> Option<Header> {
         *word = flash.read(area, offset).to_le_bytes();
     }
     let header = Header::parse(&bytes).ok()?;
-    let has_length = header.length.is_multiple_of(4) && header.length <= capacity(flash);
-    has_length.then_some(header)
-}
-
-/// The greatest length of a program in bytes, without its header.
-pub fn capacity<F: Flash>(flash: &F) -> u32 {
     let run = flash.sectors(Area::Run).iter().fold(0u32, |sum, len| sum.saturating_add(*len));
-    run.saturating_sub(HEADER_LEN as u32)
+    let capacity = run.saturating_sub(HEADER_LEN as u32);
+    if !header.length.is_multiple_of(4) || header.length > capacity {
+        return None;
+    }
+    let crc = flash.crc(area, HEADER_LEN as u32, header.length / 4, crc::BEGIN);
+    (!crc == header.crc).then_some(header)
 }

@@ -6,7 +6,7 @@ mod written;
 use core::marker::PhantomData;
 
 use crate::{
-    Abort, Area, Flash, FlashError, Header, Object, State, Status, Verify,
+    Abort, Area, Flash, FlashError, Header, Object, ROW, State, Status, Verify,
     download::{Download, Phase, Proof},
     header::{Expected, Field, HEADER_LEN},
     journal::{Journal, PAIRS, VOID, Word},
@@ -40,8 +40,17 @@ pub enum Action {
 #[derive(Clone, Copy, Debug)]
 enum Operation {
     Erase,
-    Program { area: Area, offset: u32, word: u32 },
-    Mark { word: Word, value: u32, is_needed: bool },
+    /// The first words of the row.
+    Program {
+        area: Area,
+        offset: u32,
+        len: u32,
+    },
+    Mark {
+        word: Word,
+        value: u32,
+        is_needed: bool,
+    },
 }
 
 /// Whether RUN is ready for a download.
@@ -76,6 +85,8 @@ pub struct Updater<F, V, const WORDS: usize = 4096> {
     backup: Option<Header>,
     status: Status,
     operation: Option<Operation>,
+    /// The words that are being programmed.
+    row: [u32; ROW],
     procedure: Procedure,
     step: Step,
     /// The BACK of the restore under way.
@@ -106,6 +117,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             backup,
             status: Status::Ok,
             operation: None,
+            row: [0; ROW],
             procedure: Procedure::Restore,
             step: Step::Idle,
             back: PAIRS[0].1,
@@ -117,7 +129,11 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             reset: Reset::No,
         };
         if matches!(why, Why::Restore | Why::NoProgram) {
-            match updater.next(false) {
+            let is_valid = |area| match area {
+                Area::Run => run.is_some(),
+                Area::Backup => backup.is_some(),
+            };
+            match start::next(journal, false, is_valid) {
                 Next::Restore => updater.step = Step::Saved { second: false },
                 // The journal reads otherwise now.
                 Next::Program | Next::Trial => updater.reset = Reset::At(now),
@@ -128,7 +144,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     }
 
     /// Does the next step, if the flash is ready for it, and says what the loader has to do. Call it as often as
-    /// possible while [`is_busy`](Self::is_busy), and at least every 10 ms otherwise. A step reads some 20 words at
+    /// possible while [`is_busy`](Self::is_busy), and at least every 10 ms otherwise. A step reads some 70 words at
     /// most, or starts one operation of the flash; it never waits for the flash.
     ///
     /// What [`Action::Verify`] and [`Action::Hash`] ask for may take long, while the objects answer. No other `poll` may
@@ -170,9 +186,9 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
 
     /// Takes the result of [`Action::Hash`], unless the download has ended since; returns what follows.
     pub fn hashed(&mut self, sha256: &[u8; 32]) -> Option<Action> {
-        let header = self.download.header.filter(|_| self.step == Step::Hashing)?;
+        let header = self.download.header.filter(|_| matches!(self.step, Step::Hashing))?;
         if header.sha256 == *sha256 {
-            self.step = Step::Seal(0);
+            self.step = Step::Copy(0);
             return None;
         }
         Some(self.refuse_program(Status::Damaged(Field::Hash)))
@@ -182,7 +198,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// configuration and 1010h.
     pub fn is_busy(&self) -> bool {
         self.operation.is_some()
-            || self.step != Step::Idle
+            || !matches!(self.step, Step::Idle)
             || self.clears_then
             || !self.download.is_empty()
             || self.download.phase == Phase::Ended
@@ -323,27 +339,18 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// The client or the SDO server has ended the download, also while its answer is due. After the first word of the
     /// program, another download needs another clear.
     pub fn abort(&mut self) {
-        if self.step == Step::Done {
+        if matches!(self.step, Step::Done) {
             self.download.phase = Phase::None;
         } else if self.download.phase != Phase::None {
             let is_used = self.cleared == Cleared::Used;
             self.refuse(if is_used { Status::NotCleared } else { Status::Ok });
-            if matches!(self.step, Step::Check { .. } | Step::Hashing | Step::Seal(_)) {
+            let is_of_download = matches!(self.procedure, Procedure::Clear);
+            if is_of_download
+                && matches!(self.step, Step::Check { .. } | Step::Hashing | Step::Copy(_))
+            {
                 self.step = Step::Idle;
             }
         }
-    }
-
-    /// The flash, for the settings; not while [`is_busy`](Self::is_busy).
-    pub fn flash(&mut self) -> &mut F {
-        &mut self.flash
-    }
-
-    fn next(&self, may_try: bool) -> Next {
-        start::next(self.journal, may_try, |area| match area {
-            Area::Run => self.run.is_some(),
-            Area::Backup => self.backup.is_some(),
-        })
     }
 
     /// Checks the header that has come.
@@ -382,7 +389,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         let is_silent = now.wrapping_sub(self.requested) >= SILENCE;
         match self.reset {
             Reset::At(at) => now.wrapping_sub(at) < u32::MAX / 2,
-            _ => is_silent && !self.is_busy() && self.next(true) != Next::Nothing,
+            _ => is_silent && !self.is_busy() && !self.is_without_program(),
         }
     }
 
@@ -401,14 +408,14 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         let Some(operation) = self.operation else { return Some(Ok(())) };
         let mut outcome = self.flash.poll()?;
         self.operation = None;
-        let written = match operation {
-            Operation::Erase => None,
-            Operation::Program { area, offset, word } => Some((area, offset, word)),
-            Operation::Mark { word, value, .. } => Some((Area::Backup, word.offset(), value)),
+        let (area, offset, len) = match operation {
+            Operation::Erase => (Area::Run, 0, 0),
+            Operation::Program { area, offset, len } => (area, offset, len),
+            Operation::Mark { word, .. } => (Area::Backup, word.offset(), 1),
         };
-        if let Some((area, offset, word)) = written
-            && outcome.is_ok()
-            && self.flash.read(area, offset) != word
+        let mut written = self.row.iter().zip(0..len);
+        if outcome.is_ok()
+            && written.any(|(word, i)| self.flash.read(area, offset.wrapping_add(4 * i)) != *word)
         {
             outcome = Err(FlashError::Failed);
         }

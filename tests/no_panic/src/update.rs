@@ -23,7 +23,7 @@ impl Flash for Chip {
         any_number()
     }
 
-    fn program(&mut self, _: Area, _: u32, _: u32) -> Result<(), FlashError> {
+    fn program(&mut self, _: Area, _: u32, _: &[u32]) -> Result<(), FlashError> {
         any(Ok(()))
     }
 

@@ -1,6 +1,9 @@
 //! The flash with the places of programs, RUN and BACKUP (RM0090, chapter 3).
 
-use program_update::{Area, Flash, FlashError, crc};
+use core::sync::atomic::{AtomicPtr, AtomicU32, AtomicUsize, Ordering::Relaxed};
+
+use cortex_m::interrupt;
+use program_update::{Area, Flash, FlashError, ROW, crc};
 use stm32f4xx_hal::pac::{CRC, FLASH, RCC};
 
 use crate::{chip::RUN, supply};
@@ -28,9 +31,16 @@ const STRT: u32 = 1 << 16;
 const EOPIE: u32 = 1 << 24;
 const LOCK: u32 = 1 << 31;
 
-/// The time in us after which an operation counts as hung: a word takes 0.1 ms at most, a sector of 128 KB 2 s.
-const WORD_LIMIT: u32 = 10_000;
+/// The time in us after which an operation counts as hung: a row takes 2 ms at most, a sector of 128 KB 2 s.
+const ROW_LIMIT: u32 = 10_000;
 const ERASE_LIMIT: u32 = 4_000_000;
+
+/// The words of a row that follow the one being programmed, for the interrupt at the end of each: the last ones here.
+static WORDS: [AtomicU32; ROW] = [const { AtomicU32::new(0) }; ROW];
+/// Their number.
+static LEFT: AtomicUsize = AtomicUsize::new(0);
+/// The place of the first of them.
+static NEXT: AtomicPtr<u32> = AtomicPtr::new(core::ptr::null_mut());
 
 /// The flash with both areas.
 pub struct Areas {
@@ -55,10 +65,20 @@ impl Areas {
         Self::registers().sr().read().bits() & BUSY != 0
     }
 
-    /// Acknowledges the interrupt at the end of an operation.
-    pub fn acknowledge() {
+    /// Handles the interrupt at the end of an operation: starts to program the next word of the row.
+    pub fn go_on() {
         // SAFETY: a 1 clears the flag.
         Self::registers().sr().write(|w| unsafe { w.bits(EOP) });
+        let left = LEFT.load(Relaxed);
+        let Some(word) = WORDS.get(ROW.wrapping_sub(left)) else { return };
+        if Self::is_busy() {
+            return;
+        }
+        let place = NEXT.load(Relaxed);
+        // SAFETY: the library programs words of the areas. FLASH_CR is as for the word before.
+        unsafe { place.write_volatile(word.load(Relaxed)) };
+        NEXT.store(place.wrapping_add(1), Relaxed);
+        LEFT.store(left.wrapping_sub(1), Relaxed);
     }
 
     fn begin(&mut self, control: u32, limit: u32) -> Result<(), FlashError> {
@@ -101,10 +121,20 @@ impl Flash for Areas {
         unsafe { Self::address(area, offset).read_volatile() }
     }
 
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
-        self.begin(PG, WORD_LIMIT)?;
-        // SAFETY: the library programs words of the areas.
-        unsafe { Self::address(area, offset).write_volatile(word) };
+    fn program(&mut self, area: Area, offset: u32, words: &[u32]) -> Result<(), FlashError> {
+        let Some((first, rest)) = words.split_first() else { return Ok(()) };
+        self.begin(PG, ROW_LIMIT)?;
+        let place = Self::address(area, offset);
+        // The interrupt at the end of the first word waits for the others.
+        interrupt::free(|_| {
+            // SAFETY: the library programs words of the areas.
+            unsafe { place.write_volatile(*first) };
+            for (to, word) in WORDS.iter().rev().zip(rest.iter().rev()) {
+                to.store(*word, Relaxed);
+            }
+            NEXT.store(place.wrapping_add(1), Relaxed);
+            LEFT.store(rest.len(), Relaxed);
+        });
         Ok(())
     }
 
@@ -117,12 +147,15 @@ impl Flash for Areas {
     fn poll(&mut self) -> Option<Result<(), FlashError>> {
         let (since, limit) = self.operation?;
         let flash = Self::registers();
+        // In this order: between the two the interrupt may start the last word.
+        let left = LEFT.load(Relaxed);
         let status = flash.sr().read().bits();
-        let is_over = status & BUSY == 0;
+        let is_over = status & BUSY == 0 && (left == 0 || status & ERRORS != 0);
         if !is_over && (self.now)().wrapping_sub(since) < limit {
             return None;
         }
         self.operation = None;
+        LEFT.store(0, Relaxed);
         // SAFETY: the lock has no other effect.
         flash.cr().write(|w| unsafe { w.bits(LOCK) });
         forget_cached();

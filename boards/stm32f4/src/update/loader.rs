@@ -386,7 +386,7 @@ fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
 
 /// Handles the interrupt of the flash: the end of an operation.
 extern "C" fn handle_flash() {
-    Areas::acknowledge();
+    Areas::go_on();
     asm::sev();
 }
 

@@ -4,18 +4,18 @@
 //! - **Save**, before an old program is erased: both SAVED void, erase BACKUP, copy RUN, compare, both SAVED.
 //! - **Clear**: erase RUN. What an update has begun needs no second copy, only both SAVED again.
 
-use super::{Action, Cleared, Operation, Updater, written::header_place};
+use super::{Action, Cleared, Operation, Updater};
 use crate::{
-    Area, Flash, FlashError, Status, Verify,
+    Area, Flash, FlashError, ROW, Status, Verify,
     download::Phase,
     header::HEADER_LEN,
-    journal::{Journal, KEPT, PAIRS, SAVED, SET, VOID, Word},
+    journal::{self, Journal, KEPT, PAIRS, SAVED, SET, VOID, Word},
 };
 
 pub(super) const HEADER: u32 = HEADER_LEN as u32;
 /// The words that one step reads at most, in each area.
-pub(super) const CHUNK: u32 = 8;
-pub(super) const BLANK: u32 = u32::MAX;
+pub(super) const CHUNK: u32 = 32;
+const BLANK: u32 = u32::MAX;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Procedure {
@@ -25,7 +25,7 @@ pub(super) enum Procedure {
 }
 
 /// What comes next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(super) enum Step {
     /// Nothing, or the next word of a download.
     Idle,
@@ -40,7 +40,7 @@ pub(super) enum Step {
     Unkept {
         second: bool,
     },
-    /// Compares RUN with BACKUP from this word on, to choose a pair of UNDO and BACK.
+    /// Compares RUN with BACKUP from this offset on, to choose a pair of UNDO and BACK.
     Choose(u32),
     /// Erases from this sector on.
     Erase(usize),
@@ -49,7 +49,9 @@ pub(super) enum Step {
         sector: usize,
         offset: u32,
     },
+    /// Copies a program from this offset on, and its header behind it; of a download only the header.
     Copy(u32),
+    /// Compares the copy with the program from this offset on.
     Compare(u32),
     Restored,
     Leave,
@@ -60,8 +62,6 @@ pub(super) enum Step {
     },
     /// Waits for its SHA-256.
     Hashing,
-    /// The words of its header.
-    Seal(u32),
     /// The program is complete.
     Done,
 }
@@ -76,7 +76,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             return;
         }
         self.cleared = Cleared::Soon;
-        if self.step != Step::Idle {
+        if !matches!(self.step, Step::Idle) {
             // A restore, or the mark of a new program: it has to be undone.
             self.clears_then = true;
             return;
@@ -126,7 +126,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 self.mark(one_of(KEPT, second), VOID, true)?;
                 self.step = if second { Step::Choose(0) } else { Step::Unkept { second: true } };
             }
-            Step::Choose(word) => match self.compare(word) {
+            Step::Choose(offset) => match self.compare(offset) {
                 Some(Ok(next)) => self.step = Step::Choose(next),
                 outcome => {
                     self.choose(outcome.is_none())?;
@@ -135,8 +135,8 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             },
             Step::Erase(sector) => self.erase(sector)?,
             Step::EraseUsed { sector, offset } => self.erase_used(sector, offset)?,
-            Step::Copy(word) => self.copy(word)?,
-            Step::Compare(word) => match self.compare(word) {
+            Step::Copy(offset) => self.copy(offset)?,
+            Step::Compare(offset) => match self.compare(offset) {
                 Some(next) => self.step = Step::Compare(next?),
                 None => self.compared()?,
             },
@@ -150,7 +150,6 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             }
             Step::Check { word, crc } => return self.check(word, crc),
             Step::Hashing => {}
-            Step::Seal(word) => self.seal(word)?,
             Step::Done => {
                 self.run = self.download.header;
                 self.step = Step::Idle;
@@ -189,14 +188,17 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         value: u32,
         is_needed: bool,
     ) -> Result<(), FlashError> {
-        self.flash.program(Area::Backup, word.offset(), value)?;
+        self.row[0] = value;
+        self.flash.program(Area::Backup, word.offset(), &[value])?;
         self.operation = Some(Operation::Mark { word, value, is_needed });
         Ok(())
     }
 
-    pub(super) fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
-        self.flash.program(area, offset, word)?;
-        self.operation = Some(Operation::Program { area, offset, word });
+    /// Programs the first words of the row.
+    pub(super) fn program(&mut self, area: Area, offset: u32, len: u32) -> Result<(), FlashError> {
+        let words = self.row.get(..len as usize).unwrap_or_default();
+        self.flash.program(area, offset, words)?;
+        self.operation = Some(Operation::Program { area, offset, len });
         Ok(())
     }
 
@@ -222,42 +224,54 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         }
     }
 
-    /// The offset of a word of the program to copy, in the order of writing: the program, then its header backwards, so
-    /// that the magic bytes come last. `None` after the last one.
-    fn place(&self, word: u32) -> Option<u32> {
-        let header = if self.procedure == Procedure::Save { self.run } else { self.backup };
-        let words = header?.length / 4;
-        match word.checked_sub(words) {
-            None => Some(HEADER.wrapping_add(word.wrapping_mul(4))),
-            Some(word) => header_place(word),
-        }
+    /// How many words from this offset on belong to the program that is copied, or to its header before the journal:
+    /// `most` of them.
+    fn words(&self, offset: u32, most: u32) -> u32 {
+        let header = if self.procedure == Procedure::Save { &self.run } else { &self.backup };
+        let end = match offset {
+            ..journal::OFFSET => journal::OFFSET,
+            journal::OFFSET..HEADER => offset,
+            _ => header.as_ref().map_or(0, |header| header.length).saturating_add(HEADER),
+        };
+        most.min(end.saturating_sub(offset) / 4)
     }
 
-    fn copy(&mut self, word: u32) -> Result<(), FlashError> {
+    fn copy(&mut self, offset: u32) -> Result<(), FlashError> {
         let (from, to) = self.direction();
-        match self.place(word) {
-            None => self.step = Step::Compare(0),
-            Some(offset) => {
-                let value = self.flash.read(from, offset);
-                self.program(to, offset, value)?;
-                self.step = Step::Copy(word.wrapping_add(1));
+        let len = self.words(offset, ROW as u32);
+        self.step = match len {
+            0 if offset >= HEADER => Step::Copy(0),
+            0 if self.procedure == Procedure::Clear => return self.complete(),
+            0 => Step::Compare(0),
+            len => {
+                let row = self
+                    .row
+                    .iter_mut()
+                    .zip(0..len)
+                    .map(|(word, i)| (word, offset.wrapping_add(4 * i)));
+                if self.procedure == Procedure::Clear {
+                    row.for_each(|(word, offset)| *word = self.download.header_word(offset));
+                } else {
+                    row.for_each(|(word, offset)| *word = self.flash.read(from, offset));
+                }
+                self.program(to, offset, len)?;
+                Step::Copy(offset.wrapping_add(4 * len))
             }
-        }
+        };
         Ok(())
     }
 
-    /// Compares the next words of the two areas; returns the word after them, an error for a difference, and `None`
-    /// after the last one.
-    fn compare(&mut self, word: u32) -> Option<Result<u32, FlashError>> {
-        self.place(word)?;
-        let end = word.wrapping_add(CHUNK);
-        for word in word..end {
-            let Some(offset) = self.place(word) else { break };
-            if self.flash.read(Area::Run, offset) != self.flash.read(Area::Backup, offset) {
-                return Some(Err(FlashError::Failed));
-            }
+    /// Compares the next words of the two areas; returns the offset of the word after them, an error for a difference,
+    /// and `None` after the last one.
+    fn compare(&mut self, offset: u32) -> Option<Result<u32, FlashError>> {
+        let len = self.words(offset, CHUNK);
+        if len == 0 {
+            return (offset < HEADER).then_some(Ok(HEADER));
         }
-        Some(Ok(end))
+        let is_equal = (0..len).map(|i| offset.wrapping_add(4 * i)).all(|offset| {
+            self.flash.read(Area::Run, offset) == self.flash.read(Area::Backup, offset)
+        });
+        Some(if is_equal { Ok(offset.wrapping_add(4 * len)) } else { Err(FlashError::Failed) })
     }
 
     fn compared(&mut self) -> Result<(), FlashError> {
@@ -305,7 +319,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             self.cleared = Cleared::Yes;
             self.step = Step::Idle;
         } else {
-            self.step = Step::Copy(0);
+            self.step = Step::Copy(HEADER);
         }
     }
 

@@ -2,26 +2,27 @@
 
 use super::{
     Action, Cleared, Updater,
-    steps::{BLANK, CHUNK, HEADER, Step},
+    steps::{CHUNK, HEADER, Step},
 };
 use crate::{
     Area, Flash, FlashError, Status, Verify, crc,
     download::{Phase, Proof},
     header::Field,
-    journal::{self, LOADED, SET},
+    journal::{LOADED, SET},
 };
 
 impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
-    /// Writes the next word of a download; after the last one its check begins.
+    /// Writes the next words of a download; after the last one its check begins.
     pub(super) fn write_download(&mut self) -> Result<(), FlashError> {
         let is_proven = !V::IS_SIGNED || self.download.proof == Proof::Given;
         if !(is_proven && matches!(self.cleared, Cleared::Yes | Cleared::Used)) {
             return Ok(());
         }
         let offset = HEADER.wrapping_add(self.download.taken.wrapping_mul(4));
-        if let Some(word) = self.download.pop() {
+        let len = self.download.take_row(&mut self.row);
+        if len > 0 {
             self.cleared = Cleared::Used;
-            self.program(Area::Run, offset, word)?;
+            self.program(Area::Run, offset, len)?;
         } else if self.download.phase == Phase::Ended {
             self.step = Step::Check { word: 0, crc: crc::BEGIN };
         }
@@ -51,32 +52,19 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
                 Some(Action::Hash { words: header.length / 4 })
             }
             Ok(()) => {
-                self.step = Step::Seal(0);
+                self.step = Step::Copy(0);
                 None
             }
             Err(status) => Some(self.refuse_program(status)),
         })
     }
 
-    /// Writes the header, backwards, then marks the program as complete. Without a program before it, there is no trial.
-    pub(super) fn seal(&mut self, word: u32) -> Result<(), FlashError> {
-        if let Some(offset) = header_place(word) {
-            let at = self.download.bytes().get(offset as usize..);
-            let value = at.and_then(<[u8]>::first_chunk).copied().map_or(BLANK, u32::from_le_bytes);
-            self.program(Area::Run, offset, value)?;
-            self.step = Step::Seal(word.wrapping_add(1));
-        } else {
-            if self.journal.is_saved() {
-                self.mark(LOADED, SET, true)?;
-            }
-            self.step = Step::Done;
+    /// Marks the program as complete. Without a program before it, there is no trial.
+    pub(super) fn complete(&mut self) -> Result<(), FlashError> {
+        if self.journal.is_saved() {
+            self.mark(LOADED, SET, true)?;
         }
+        self.step = Step::Done;
         Ok(())
     }
-}
-
-/// The offset of a word of the header in the order of writing. What follows the header's fields is blank, or the journal.
-pub(super) fn header_place(word: u32) -> Option<u32> {
-    let last = journal::OFFSET - 4;
-    last.checked_sub(word.checked_mul(4)?)
 }

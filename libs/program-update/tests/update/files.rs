@@ -255,6 +255,8 @@ fn a_lower_release_is_refused_only_where_no_downgrade_is_allowed() {
         assert_eq!(loader.write_control(3), Ok(()));
         if is_pending {
             device.work(&mut loader).expect("power");
+        } else {
+            device.chip.0.borrow_mut().slow = 10;
         }
         let lower = device.download(&mut loader, &files[0], 16).expect("power");
         let refused = Status::Refused(Field::Release).value(!is_pending);

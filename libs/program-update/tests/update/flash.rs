@@ -2,7 +2,7 @@
 
 use std::{cell::RefCell, rc::Rc};
 
-use program_update::{Area, Flash, FlashError};
+use program_update::{Area, Flash, FlashError, ROW};
 use testkit::random::Random;
 
 const BLANK: u32 = u32::MAX;
@@ -157,6 +157,29 @@ impl State {
         self.has_power = !is_cut;
         Ok(is_cut)
     }
+
+    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
+        let had_power = self.has_power;
+        let is_cut = self.begin(Operation::Program(area, offset))?;
+        if !had_power || self.stuck.contains(&(area, offset)) {
+            return Ok(());
+        }
+        let partly = self.random.u32();
+        let cell = &mut self.area(area)[offset as usize / 4];
+        if is_cut {
+            let mut doubtful = std::mem::take(&mut cell.doubtful);
+            doubtful.extend([cell.reads, cell.reads & word, cell.reads & (word | partly)]);
+            cell.doubtful = doubtful;
+        } else {
+            // What it may have read keeps only the bits that were not programmed.
+            cell.reads &= word;
+            cell.doubtful.iter_mut().for_each(|value| *value &= word);
+            if cell.doubtful.iter().all(|value| *value == word) {
+                cell.doubtful.clear();
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Flash for Chip {
@@ -170,25 +193,16 @@ impl Flash for Chip {
         state.area(area)[offset as usize / 4].reads
     }
 
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
+    fn program(&mut self, area: Area, offset: u32, words: &[u32]) -> Result<(), FlashError> {
+        assert!((1..=ROW).contains(&words.len()), "{} words", words.len());
         let mut state = self.0.borrow_mut();
-        let had_power = state.has_power;
-        let is_cut = state.begin(Operation::Program(area, offset))?;
-        if !had_power || state.stuck.contains(&(area, offset)) {
-            return Ok(());
-        }
-        let partly = state.random.u32();
-        let cell = &mut state.area(area)[offset as usize / 4];
-        if is_cut {
-            let mut doubtful = std::mem::take(&mut cell.doubtful);
-            doubtful.extend([cell.reads, cell.reads & word, cell.reads & (word | partly)]);
-            cell.doubtful = doubtful;
-        } else {
-            // What it may have read keeps only the bits that were not programmed.
-            cell.reads &= word;
-            cell.doubtful.iter_mut().for_each(|value| *value &= word);
-            if cell.doubtful.iter().all(|value| *value == word) {
-                cell.doubtful.clear();
+        state.program(area, offset, words[0])?;
+        for (word, i) in words.iter().zip(0..).skip(1) {
+            if state.outcome.is_ok() {
+                state.busy = 0;
+                // The end shows how it fails.
+                let _ = state.program(area, offset + 4 * i, *word);
+                state.busy = 1 + state.slow;
             }
         }
         Ok(())

@@ -272,6 +272,24 @@ impl Inner {
         }
     }
 
+    fn program(&mut self, place: Place, at: usize, word: u32) {
+        let is_blank = self.words(place)[at] == BLANK;
+        self.check(is_blank, "a word is programmed twice");
+        let can_cut = self.world.cuts > 0;
+        if can_cut {
+            let before = self.now();
+            self.cut(before, "cut before a word");
+        }
+        self.words(place)[at] &= word;
+        self.content(place).is_untouched = false;
+        if can_cut {
+            let mut torn = self.now();
+            let area = if place == Place::Run { &mut torn.run } else { &mut torn.backup };
+            *area = if let Area::Firm(k) = *area { Area::Weak(k) } else { Area::Damaged };
+            self.cut(torn, "cut in a word");
+        }
+    }
+
     /// A cut in the erase of the sector with the journal: each word may read as before, or blank. What certainly reads as
     /// one of them does nothing that this does not do as well.
     fn fade(&mut self, backup: Area) {
@@ -315,29 +333,14 @@ impl Flash for Chip {
         }
     }
 
-    fn program(&mut self, place: Place, offset: u32, word: u32) -> Result<(), FlashError> {
+    fn program(&mut self, place: Place, offset: u32, words: &[u32]) -> Result<(), FlashError> {
         let mut inner = self.0.borrow_mut();
-        let at = offset as usize / 4;
-        if let Some(i) = journal_word(place, at) {
-            inner.program_journal(i, word);
-            return Ok(());
+        for (word, at) in words.iter().zip(offset as usize / 4..) {
+            match journal_word(place, at) {
+                Some(i) => inner.program_journal(i, *word),
+                None => inner.program(place, at, *word),
+            }
         }
-        let is_blank = inner.words(place)[at] == BLANK;
-        inner.check(is_blank, "a word is programmed twice");
-        let can_cut = inner.world.cuts > 0;
-        if can_cut {
-            let before = inner.now();
-            inner.cut(before, "cut before a word");
-        }
-        inner.words(place)[at] &= word;
-        inner.content(place).is_untouched = false;
-        if !can_cut {
-            return Ok(());
-        }
-        let mut torn = inner.now();
-        let area = if place == Place::Run { &mut torn.run } else { &mut torn.backup };
-        *area = if let Area::Firm(k) = *area { Area::Weak(k) } else { Area::Damaged };
-        inner.cut(torn, "cut in a word");
         Ok(())
     }
 

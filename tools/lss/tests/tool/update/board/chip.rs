@@ -81,11 +81,12 @@ impl Flash for ChipFlash {
         u32::from_le_bytes(*word)
     }
 
-    fn program(&mut self, area: Area, offset: u32, word: u32) -> Result<(), FlashError> {
+    fn program(&mut self, area: Area, offset: u32, words: &[u32]) -> Result<(), FlashError> {
         let mut chip = self.0.borrow_mut();
         if chip.begin(0) {
             let cells = chip.area(area)[offset as usize..].iter_mut();
-            cells.zip(word.to_le_bytes()).for_each(|(cell, byte)| *cell &= byte);
+            let bytes = words.iter().flat_map(|word| word.to_le_bytes());
+            cells.zip(bytes).for_each(|(cell, byte)| *cell &= byte);
         }
         Ok(())
     }
