@@ -14,6 +14,8 @@ const SYSCLK_MHZ: u32 = SYSCLK_HZ / 1_000_000;
 const MASK: u32 = 1 << 22 | 3 << 16 | 0x7FFF;
 const N_AND_P: u32 = (OSCILLATOR_MHZ / SYSCLK_MHZ / 2 - 1) << 16 | OSCILLATOR_MHZ << 6;
 const FROM_CRYSTAL: u32 = 1 << 22;
+/// The internal oscillator as the source, 16 MHz.
+pub(super) const FROM_HSI: u32 = 16;
 /// RCC_CFGR: the PLL as the system clock; APB1 at 40 MHz, and APB2 at 80 MHz (RM0090, 7.3.3).
 const CFGR: u32 = match SYSCLK_MHZ {
     160 => 0b100 << 13 | 0b101 << 10 | 0b10,
@@ -24,15 +26,19 @@ const ACR: u32 = 1 << 8 | if SYSCLK_MHZ == 160 { 5 } else { 3 };
 
 /// Lets the core run from the PLL, once the crystal runs.
 pub fn start(crystal: Crystal, clocks: RCC) -> Rcc {
+    run_from(FROM_CRYSTAL | crystal.hz / 1_000_000, &clocks);
+    // Whether it is so, `crystal::check` sees.
+    clocks.constrain()
+}
+
+/// Lets the core run from the PLL with this source, and the MHz of it.
+pub(super) fn run_from(source: u32, clocks: &RCC) {
     // SAFETY: the settings are within the limits of each chip. Nothing else uses the flash.
     unsafe {
-        let m = crystal.hz / 1_000_000;
-        clocks.pllcfgr().modify(|r, w| w.bits(r.bits() & !MASK | FROM_CRYSTAL | N_AND_P | m));
+        clocks.pllcfgr().modify(|r, w| w.bits(r.bits() & !MASK | source | N_AND_P));
         clocks.cr().modify(|_, w| w.pllon().set_bit());
         comes_in_100_ms(|| clocks.cr().read().pllrdy().bit_is_set());
         FLASH::steal().acr().write(|w| w.bits(ACR));
         clocks.cfgr().write(|w| w.bits(CFGR));
     }
-    // Whether it is so, `crystal::check` sees.
-    clocks.constrain()
 }
