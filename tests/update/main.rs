@@ -1,6 +1,7 @@
 //! Tests of a product whose program can be replaced over the bus: loader and program on an emulated board.
 
 mod bad_programs;
+mod blocks;
 mod busy;
 mod chips;
 mod faults;
