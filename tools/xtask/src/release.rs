@@ -36,6 +36,9 @@ pub(crate) use image::read_hex;
 ///   lss-node.update.bin      the program, for `lss update` and other clients
 ///   lely.yml                 the two lines of it for the master of Lely
 ///   lss-node.eds, SHA256SUMS
+///
+/// A loader that takes only signed programs has your key: make a product with --signed, whose `cargo update-file --key
+/// PEM` writes these files.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
