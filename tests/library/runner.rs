@@ -471,8 +471,8 @@ fn filters_get_the_cob_ids_in_full_lists() {
     };
     assert!(receives.lists().eq([[1, 2, 3, 4], [5, 6, 7, 8], [9, 9, 9, 9]]));
     assert!(receives.lists().eq([[1, 2, 3], [4, 5, 6], [7, 8, 9]]));
-    assert_ne!(receives, Receives { all: true, ..receives.clone() });
-    assert_ne!(receives, Receives { rpdos: [5, 7], ..receives.clone() });
+    assert_ne!(receives, Receives { all: true, ..receives });
+    assert_ne!(receives, Receives { rpdos: [5, 7], ..receives });
 }
 
 #[test]
