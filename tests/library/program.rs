@@ -1,9 +1,8 @@
 //! Program download (CiA 302-3) at the node.
 
-use canopen_node::application::Domain;
 use canopen_node::{
-    Action, Application, Confirmation, Instant, Node, Program, nmt, object_dictionary::DataType,
-    objects, sdo::Abort,
+    Action, Application, Confirmation, Instant, Node, Program, application::Domain, nmt,
+    object_dictionary::DataType, objects, sdo::Abort,
 };
 use testkit::{
     frames::{Frames, SILENCE},
