@@ -1,7 +1,10 @@
 //! The object dictionary as a tool sees it by SDO (CiA 301, 7.5): the value of each object, and the effect of writes.
 
+use std::panic;
+
 use canopen_node::{
     BusEvent,
+    application::{self, Dictionary},
     lss::Address,
     object_dictionary::{Access, DataType, Entry, TABLE},
 };
@@ -11,6 +14,8 @@ use testkit::{
     random::Random,
     sdo::Client,
 };
+
+use crate::process_data::Machine;
 
 const DOES_NOT_EXIST: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
@@ -238,4 +243,12 @@ fn an_integer_type_reaches_from_its_lowest_to_its_highest_number() {
         assert!(!of.reaches(low - 1, high) && !of.reaches(low, high + 1), "{of:?}");
     }
     assert!([Boolean, Real64, VisibleString].iter().all(|of| of.reaches(i128::MIN, i128::MAX)));
+}
+
+#[test]
+fn a_product_has_at_most_256_objects() {
+    let object = |number: u16| Entry { index: 0x2001 + number, ..Machine::OBJECTS[0] };
+    let objects: Vec<_> = (0..257).map(object).collect();
+    application::check(&objects[..256]);
+    assert!(panic::catch_unwind(|| application::check(&objects)).is_err());
 }

@@ -128,6 +128,8 @@ fn a_synchronous_rpdo_behind_the_window_is_dropped() {
         (10_000, 9_999, 5),
         (10_000, 10_000, 0),
         (10_000, 3_000_000_000, 0),
+        (1_500_000, 1_499_999, 5),
+        (1_500_000, 1_500_000, 0),
         (u32::MAX, 1_000_000, 5),
     ] {
         assert_eq!(lamps_after_a_synchronous_rpdo(window_us, after_us), lamps, "{window_us} us");

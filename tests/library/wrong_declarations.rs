@@ -98,7 +98,7 @@ const OBJECTS: [(&str, &str); 22] = [
 ];
 
 /// What is wrong beside the objects, and the message.
-const COMMUNICATION: [(&str, &str); 17] = [
+const COMMUNICATION: [(&str, &str); 18] = [
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED, Tpdo::new(&[(0x6000, 4)])];",
         "TPDO 2: 6000h sub-index 4 does not exist",
@@ -136,6 +136,10 @@ const COMMUNICATION: [(&str, &str); 17] = [
     (
         "RPDOS: &'static [Rpdo] = &[Rpdo::new(&[]).with_transmission_type(241)];",
         "RPDO 1: the transmission type must be 0 to 240, 254 or 255",
+    ),
+    (
+        "RPDOS: &'static [Rpdo] = &{ let mut all = [Rpdo::UNUSED; 10]; all[9] = Rpdo::new(&[(6, 0); 3]); all };",
+        "RPDO 10: it must be `invalid()`: only the first 4 have a COB-ID in a new device",
     ),
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::new(&[]).with_sync_start_value(241)];",
