@@ -12,7 +12,7 @@ const VALUES: &str = r#"0x6000 "Values" {
 }"#;
 
 /// Objects that are wrong, and the message.
-const OBJECTS: [(&str, &str); 22] = [
+const OBJECTS: [(&str, &str); 23] = [
     (
         r#"0x2000 { 0 "A" a: u8 = 0, rw; }"#,
         "object 2000h sub-index 0: its index must be 2001h to 9FFFh",
@@ -24,6 +24,10 @@ const OBJECTS: [(&str, &str); 22] = [
     (
         r#"0x2101 { 0 "A" a: u8 = 0, rw; } 0x2100 { 0 "B" b: u8 = 0, rw; }"#,
         "object 2100h sub-index 0: objects must be sorted by index and sub-index",
+    ),
+    (
+        r#"0x2100 "A" { 2 "A" a: u8 = 0, rw; 1 "B" b: u8 = 0, rw; }"#,
+        "object 2100h sub-index 1: objects must be sorted by index and sub-index",
     ),
     (
         r#"0x2100 { 0 "A" a: u8 = 0, rw; } 0x2100 { 0 "B" b: u8 = 0, rw; }"#,
