@@ -201,7 +201,12 @@ fn each_wrong_declaration_is_named_by_cargo_check() {
     .unwrap();
     fs::copy(workspace().join("Cargo.lock"), folder.join("Cargo.lock")).unwrap();
     let wrong: Vec<_> = of_objects.into_iter().chain(of_communication).collect();
-    let right = program(VALUES, "const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)])];");
+    let right = program(
+        VALUES,
+        "const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 1)])];
+         const PRODUCERS: usize = 2;
+         const WATCHED: &'static [(u8, u16)] = &[(1, 500), (127, 900)];",
+    );
     for (number, (program, _)) in wrong.iter().enumerate() {
         fs::write(folder.join(format!("src/bin/wrong{number}.rs")), program).unwrap();
     }
