@@ -251,6 +251,19 @@ mod tests {
         assert_eq!(watched.look(9_000), [""; 0], "it is said once");
         assert_eq!(watched.at(9_000, 0x705, &[0x7F]), ["node 5 is back: pre-operational"]);
         assert_eq!(watched.network.next_unasked(), None);
+        // Two at one moment tell no interval.
+        assert_eq!(watched.at(10_000, 0x705, &[4]), ["node 5: stopped"]);
+        assert_eq!(watched.at(10_000, 0x705, &[4]), [""; 0]);
+        assert_eq!(watched.look(11_000), [""; 0]);
+    }
+
+    #[test]
+    fn the_last_100_events_are_kept() {
+        let Watched { mut network, start } = Watched::new();
+        for number in 0..=100 {
+            network.event(start, number.to_string());
+        }
+        assert_eq!((network.events.len(), &*network.events[0].1), (100, "1"));
     }
 
     #[test]
@@ -307,10 +320,18 @@ mod tests {
         let start = Instant::now();
         let lss_address = Some([1, 2, 3, 4].into());
         let blank = Row { lss_address, ..Row::default() };
-        let mut network = Network::new(vec![blank.clone(), Row::default()], start);
-        network.identify(7, vec![Row { node_id: Some(7), ..blank }], start);
-        assert_eq!(network.blank.len(), 1, "only it");
-        let (_, words) = &network.events[0];
-        assert_eq!(words, "node 7 is board 00000001:00000002:00000003:00000004");
+        let other = Row { lss_address: Some([1, 2, 3, 5].into()), ..Row::default() };
+        let mut network = Network::new(vec![blank.clone(), Row::default(), other.clone()], start);
+        network.heartbeat(7, 0x7F, start);
+        network.events.clear();
+        let row = Row { node_id: Some(7), ..blank };
+        network.identify(7, vec![row.clone()], start);
+        assert_eq!(network.blank.len(), 2, "only it");
+        assert_eq!(network.nodes[&7].row.state, Some("pre-operational"));
+        network.identify(7, vec![row, other], start);
+        let words: Vec<&str> = network.events.iter().map(|(_, words)| &**words).collect();
+        let board = "node 7 is board 00000001:00000002:00000003:00000004";
+        let shared = "2 boards share node-ID 7: `lss list` tells which";
+        assert_eq!(words, [board, board, shared]);
     }
 }

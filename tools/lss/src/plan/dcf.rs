@@ -123,3 +123,30 @@ fn compact(sheet: &Sheet, values: &BTreeMap<eds::Address, String>) -> BTreeMap<S
     }
     sections
 }
+
+#[cfg(test)]
+mod tests {
+    use can_bus::eds::Eds;
+
+    use super::*;
+
+    #[test]
+    fn elements_that_share_one_section_have_their_values_in_another() {
+        let object = |index: &str, count: u8| {
+            format!(
+                "[{index}]\nParameterName=A\nDataType=5\nAccessType=rw\nCompactSubObj={count}\n"
+            )
+        };
+        let text = object("2000", 2) + &object("2001", 0);
+        let sheet = Sheet { eds: Eds::parse(&text), text, path: "io.eds".into() };
+        let values =
+            [((0x2000, 0), "2"), ((0x2000, 1), "5"), ((0x2000, 2), "6"), ((0x2001, 0), "7")];
+        let values = values.map(|(address, value)| (address, value.to_owned())).into();
+        let written = content(&sheet, &values, "node_5.dcf", "");
+        assert!(written.starts_with("[2000]\nParameterName"), "{written}");
+        assert!(written.contains("[2001]\nParameterValue=7\n"), "{written}");
+        let sections = written.matches("value]").count();
+        assert!(written.contains("\n[2000value]\nNrOfEntries=2\n1=5\n2=6\n"), "{written}");
+        assert_eq!(sections, 1, "{written}");
+    }
+}

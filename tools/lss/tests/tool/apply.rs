@@ -439,12 +439,22 @@ fn a_node_that_was_operational_is_told() {
 fn what_must_not_change_in_a_pdo_in_use_changes_while_it_is_off() {
     let wire = Wire::new(RATE, &[5]);
     // The default COB-ID is that of the PDO afterwards.
-    let file = file("inhibit", &node_with(5, 0, "\"1800:3\" = 100\n\"1801:2\" = 1"));
+    let file = file("inhibit", &node_with(5, 0, "\"1800:3\" = 100\n\"1801:2\" = true"));
     assert_eq!(wire.apply(&file, "").0.code, 0);
     assert_eq!(wire.value(0, 0x1800, 3), [100, 0]);
     assert_eq!(wire.value(0, 0x1800, 1), [0x85, 0x01, 0, 0x40]);
     assert_eq!(wire.value(0, 0x1801, 2), [1]);
     assert_done(&wire, &file);
+}
+
+#[test]
+fn the_same_values_have_the_same_stamp_in_each_version() {
+    let wire = Wire::new(RATE, &[5]);
+    let file = file("stamp", &node_with(5, 0, "\"2100\" = 4"));
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    // FNV-1a of index, sub-index, length and value.
+    let stamp = [1, 2].map(|sub_index| wire.value(0, 0x1020, sub_index));
+    assert_eq!(stamp, [0x95B09B3B_u32, 0x441A86DB].map(|number| number.to_le_bytes().to_vec()));
 }
 
 #[test]
@@ -465,6 +475,9 @@ fn a_board_without_fastscan_is_found_by_its_address() {
     let boards = Boards::new(RATE, &[0xFF, 9]);
     boards.unsupported.set(Some(0x51));
     let file = file("no-fastscan", &entry(5, 0));
+    let outcome = boards.lss(&format!("apply {} --plan", file.display()));
+    // It is not another one.
+    assert_eq!(outcome.text.matches("\n? ").count(), 1, "{}", outcome.text);
     let outcome = boards.lss(&format!("apply {}", file.display()));
     assert_eq!(outcome.code, 0);
     assert_eq!(boards.stored(0), Some((5, 4)));

@@ -302,6 +302,19 @@ fn a_node_id_that_cannot_be_taken_back_is_told() {
 }
 
 #[test]
+fn a_board_that_is_gone_before_its_node_id_is_taken_back_is_told() {
+    let wire = Wire::new(RATE, &[0xFF]);
+    for raw in ["raw 04 01", "raw 11 01"] {
+        assert_eq!(wire.lss(raw).code, 0);
+    }
+    wire.fail_at(At::Write(0), Fault::BoardGone(0));
+    let outcome = wire.lss("assign");
+    assert_eq!(outcome.code, 1);
+    let words = "a board may have a node-ID that is not stored: ";
+    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+}
+
+#[test]
 fn set_id_with_store_reads_back_what_is_stored() {
     for (before, reset) in [(None, ""), (Some(3), "--reset")] {
         let wire = Wire::new(RATE, &[before.unwrap_or(0xFF)]);

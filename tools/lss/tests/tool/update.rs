@@ -227,11 +227,19 @@ fn a_program_that_the_board_finds_wrong_is_taken_back() {
     // Its stack is where another chip has RAM.
     let mut program = new()[512..].to_vec();
     program[..4].copy_from_slice(&0x2003_0000_u32.to_le_bytes());
-    let outcome = fleet.update(&file_of(&program, "1.1", |_| ()), "");
+    let file = file_of(&program, "1.1", |_| ());
+    let outcome = fleet.update(&file, "");
     assert_eq!(outcome.code, 1);
     let words = "no stack pointer and reset vector for this chip. Now the program before runs";
     assert!(outcome.error.contains(words), "{}", outcome.error);
+    let clears = fleet.sent().iter().filter(|frame| is_control(frame, 3)).count();
+    assert_eq!(clears, 1, "the download is not repeated");
     assert_eq!(fleet.kept(), [Some(crc_of(&old()))]);
+    // Ctrl-C while it goes back.
+    let reset = fleet.sent().iter().position(|frame| is_control(frame, 2));
+    let fleet = Fleet::new(&[5]);
+    fleet.fail_at(reset.expect("it was sent") + 1, Fault::CtrlC);
+    assert_eq!(fleet.update(&file, "").code, 130);
 }
 
 #[test]
@@ -244,6 +252,47 @@ fn lost_segments_are_sent_again() {
     let begins = fleet.sent();
     let begins = begins.iter().filter(|frame| frame.data().starts_with(&[0xC6]));
     assert_eq!(begins.count(), 1);
+}
+
+/// The number of the first frame of an update of node 5 that is one like this.
+fn number_of(is_it: impl Fn(&Frame) -> bool) -> usize {
+    let fleet = Fleet::new(&[5]);
+    assert_eq!(fleet.update(&new(), "5").code, 0);
+    fleet.sent().iter().position(is_it).expect("it was sent")
+}
+
+#[test]
+fn a_request_or_an_answer_that_is_lost_fails_no_update() {
+    let control = |value| number_of(|frame| is_control(frame, value));
+    let status = number_of(|frame| frame.data().starts_with(&[0x40, 0x57, 0x1F]));
+    let clear = control(3);
+    for at in [status, control(0), clear, clear + 1, control(1), control(0x80)] {
+        let fleet = Fleet::new(&[5]);
+        fleet.fail_at(at, Fault::AnswerIsLost(0));
+        let outcome = fleet.update(&new(), "5");
+        assert_eq!((outcome.code, &*outcome.error), (0, ""), "answer {at}");
+        assert_eq!(fleet.kept(), [Some(crc_of(&new()))], "answer {at}");
+    }
+    for at in [control(0), clear, control(0x80)] {
+        let fleet = Fleet::new(&[5]);
+        fleet.fail_at(at, Fault::FrameIsLost);
+        let outcome = fleet.update(&new(), "5");
+        assert_eq!((outcome.code, &*outcome.error), (0, ""), "request {at}");
+    }
+}
+
+#[test]
+fn a_board_that_is_gone_says_when_it_was_last_heard() {
+    let (clear, start) =
+        (number_of(|frame| is_control(frame, 3)), number_of(|frame| is_control(frame, 1)));
+    for (at, words) in [(clear + 1, "clearing: "), (start, "it does not answer any more")] {
+        let fleet = Fleet::new(&[5]);
+        fleet.fail_at(at, Fault::PowerCut(0));
+        let outcome = fleet.update(&new(), "5");
+        assert_eq!(outcome.code, 1, "{words}");
+        assert!(outcome.error.contains(words), "{}", outcome.error);
+        assert!(!outcome.error.contains("does not become ready"), "{}", outcome.error);
+    }
 }
 
 #[test]

@@ -67,7 +67,8 @@ fn wrong_files_are_told_before_anything_is_sent() {
 #[test]
 fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
     let wire = Wire::new(RATE, &[0xFF, 0xFF]);
-    let first = file("dcf", &(node_with(5, 0, VALUES) + &node_with(6, 1, "\"2100\" = 1")));
+    let five = node_with(5, 0, VALUES).replace("id = 5\n", "id = 5\nname = \"pump\"\n");
+    let first = file("dcf", &(five + &node_with(6, 1, "\"2100\" = 1")));
     let written = folder("dcf-written");
     let (outcome, _) = wire.apply(&first, &format!("--write-dcf {}", written.display()));
     assert_eq!(outcome.code, 0);
@@ -79,13 +80,26 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
         "[2100]\nParameterValue=4\nParameterName=Filter constant of the temperature",
         "[2101sub1]\nParameterValue=0x3FA00000\n",
         "[2101sub3]\nParameterValue=Ada Lovelace\n",
-        "[DeviceComissioning]\nNodeID=5\nNodeName=\nBaudrate=125\n",
+        "[DeviceComissioning]\nNodeID=5\nNodeName=pump\nBaudrate=125\n",
         "LSS_SerialNumber=0x00001000\n",
     ] {
         assert!(text.contains(line), "{line}");
     }
     assert!(!text.contains("[2FF0sub1]\nParameterValue"), "LSS sets the node-ID");
     assert!(!text.contains("[1020sub1]\nParameterValue"), "the stamp is that of the files");
+    // A DCF of a DCF is the same but for the name of its data sheet.
+    let again = folder("dcf-again");
+    let outcome = wire.lss(&format!("apply {} --write-dcf {}", dcf.display(), again.display()));
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    let second = fs::read_to_string(again.join("node_5.dcf")).expect("it is there");
+    let lines = |text: &str| -> Vec<String> {
+        text.lines().filter(|line| !line.is_empty()).map(str::to_owned).collect()
+    };
+    assert_eq!(
+        lines(&second.replace("=node_5.dcf\nLastEDS=node_5.dcf", "=node_5.dcf\nLastEDS=io.eds")),
+        lines(&text)
+    );
+    wire.set(0, 0x1020, 1, &[0; 4]);
     // The node is as its file says, but for the stamp of another file.
     let (outcome, writes) = wire.apply(&dcf, "--plan");
     assert_eq!((outcome.code, writes), (1, 0));
@@ -108,6 +122,10 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
     let both = format!("apply {} {} --plan", dcf.display(), written.join("node_6.dcf").display());
     let outcome = wire.lss(&both);
     assert!(outcome.text.contains("plan: 1 of 2 boards change"), "{}", outcome.text);
+    assert!(outcome.text.contains("node 5 \"pump\"  "), "{}", outcome.text);
+    assert!(outcome.text.contains("node 6  "), "{}", outcome.text);
+    let outcome = wire.lss(&format!("apply {0} {0}", dcf.display()));
+    assert!(outcome.error.starts_with("node-ID 5 is there twice\n"), "{}", outcome.error);
 }
 
 /// The data sheet as a configuration file with a place in the network, and this value of 2100h.
@@ -136,11 +154,20 @@ fn a_dcf_without_a_serial_number_is_for_the_one_board_that_it_can_mean() {
     assert!(outcome.error.ends_with("or LSS_SerialNumber in the DCF"), "{}", outcome.error);
     // A table says which one.
     let table = folder.join("network.toml");
+    let two_rates = format!("bit_rate = 500\n{}dcf = \"lamp.dcf\"\n", node(5, 1));
+    fs::write(&table, two_rates).expect("it can be written");
+    let (outcome, _) = wire.apply(&table, "");
+    assert!(outcome.error.contains("125 kbit/s here, but 500 kbit/s before"), "{}", outcome.error);
     fs::write(&table, node(5, 1) + "dcf = \"lamp.dcf\"\n").expect("it can be written");
     assert_eq!(wire.apply(&table, "").0.code, 0);
     assert_eq!(wire.value(1, 0x2100, 0), [2]);
     // And then its node-ID does.
     assert_done(&wire, &path);
+    let other = dcf(5, 2).replace("ProductNumber=0x4C535334", "ProductNumber=0x4C535335");
+    fs::write(&path, other).expect("it can be written");
+    let (outcome, _) = wire.apply(&path, "");
+    let start = "node 5 is missing: no board 00000000:4C535335:";
+    assert!(outcome.error.starts_with(start), "{}", outcome.error);
 }
 
 #[test]

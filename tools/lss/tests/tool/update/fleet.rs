@@ -24,7 +24,7 @@ use testkit::{
     image_rig::{flash_with, settings},
     node_rig::{ADDRESS, NodeRig, device},
     random::Random,
-    slave_bus::{BusAdapter, Habits, Happening, SlaveBus},
+    slave_bus::{BusAdapter, Defect, Habits, Happening, SlaveBus},
 };
 
 use super::{
@@ -55,6 +55,10 @@ pub enum Fault {
     PowerCut(usize),
     /// From then on its flash does.
     FlashFails(usize),
+    /// The frame is lost.
+    FrameIsLost,
+    /// The answer of the board with this number is lost.
+    AnswerIsLost(usize),
 }
 
 /// The boards, the bus, and the tool's adapter.
@@ -284,6 +288,10 @@ impl Adapter for Fleet {
                 return self.assert_adapter();
             }
             Some((_, Fault::PowerCut(board))) => self.power_off(board),
+            Some((_, Fault::FrameIsLost)) => return Ok(()),
+            Some((_, Fault::AnswerIsLost(board))) => {
+                self.bus().slaves[board].defect = Some(Defect::LosesAnswers(1));
+            }
             Some((_, Fault::FlashFails(board))) => {
                 self.board(board).chip.borrow_mut().fault = Some(FlashError::Failed);
             }
