@@ -139,8 +139,9 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let first = self.search_bank(0..used);
         let second = self.search_bank(bank_len..bank_len.saturating_add(used));
         let second_is_newer = match (first.certain, second.certain) {
-            // Neither counts, and both will be formatted, the other one first.
-            (None, None) => first.is_blank(),
+            // While they are formatted. It continues in the other one.
+            (None, None) if first.newest.is_none() && second.newest.is_none() => first.is_blank(),
+            (None, None) => is_later(second.sequence(), first.sequence()),
             (first, second) => is_later(second, first),
         };
         if second_is_newer { (second, first) } else { (first, second) }
