@@ -35,7 +35,7 @@ const LOCK: u32 = 1 << 31;
 const ROW_LIMIT: u32 = 10_000;
 const ERASE_LIMIT: u32 = 4_000_000;
 
-/// The words of a row that follow the one being programmed, for the interrupt at the end of each: the last ones here.
+/// The words of a row that the interrupt at the end of each word still has to program. They stand at the end.
 static WORDS: [AtomicU32; ROW] = [const { AtomicU32::new(0) }; ROW];
 /// Their number.
 static LEFT: AtomicUsize = AtomicUsize::new(0);

@@ -54,7 +54,7 @@ impl TransmitQueue {
     }
 
     /// Adds a frame; returns whether there was room. A PDO replaces the waiting one of the same COB-ID, so that a board
-    /// that is alone on its bus does not accumulate them; of heartbeats the node has one wait at a time.
+    /// that is alone on its bus does not accumulate them. The node itself lets only one heartbeat wait.
     pub fn push(&mut self, frame: Frame) -> bool {
         let cob_id = frame.cob_id();
         let pending = self.pending();
