@@ -9,7 +9,7 @@ import pytest
 from boards import BUILD_TIMEOUT, HERE, WORKSPACE, Boards
 from test_npm_canopen import ENVIRONMENT
 
-CHIP = "stm32f405"
+CHIP = "stm32f407"
 NODE_IDS = 1, 2
 HEADER = 512
 

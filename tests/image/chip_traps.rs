@@ -113,7 +113,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
 #[test]
 fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_each_100_ms() {
     let mut board = Board::new(
-        part(),
+        PART,
         image(),
         chip(ChipVariant { hse_start: Time::MAX, ..ChipVariant::default() }),
     );
@@ -179,7 +179,7 @@ fn a_brown_out_while_settings_are_written_loses_none() {
 fn a_store_at_the_2_93_v_of_a_discovery_works_on_every_chip() {
     for thresholds in [Thresholds::Lowest, Thresholds::Typical, Thresholds::Highest] {
         let of_chip = chip(ChipVariant { thresholds, ..ChipVariant::default() });
-        let board = Board::new(part(), image(), board::Settings { supply_mv: 2_930, ..of_chip });
+        let board = Board::new(PART, image(), board::Settings { supply_mv: 2_930, ..of_chip });
         let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
         let joined = rig.network.now();
         // A new board erases two sectors by words.

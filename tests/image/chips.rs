@@ -28,7 +28,7 @@ fn the_firmware_relies_on_no_more_than_the_emulated_chips_have() {
 #[test]
 fn the_example_passes_the_sessions_that_every_chip_must_pass() {
     let settings = board::Settings::default();
-    let variant = Variant { image: example(), part: Part::Stm32f407, settings };
+    let variant = Variant { image: example(), part: PART, settings };
     for (name, session) in sessions::all(false) {
         println!("{name}");
         session(&variant);

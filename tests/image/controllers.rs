@@ -12,7 +12,7 @@ const FM1R: u32 = 0x204;
 const FA1R: u32 = 0x21C;
 
 fn image_on_can2() -> &'static Image {
-    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(Part::Stm32f405, 2));
+    static IMAGE: LazyLock<Image> = LazyLock::new(|| build(PART, 2));
     &IMAGE
 }
 
@@ -71,7 +71,7 @@ fn is_commissioned(part: Part, controller: usize, image: &Image) {
 
 #[test]
 fn an_image_on_can2_is_commissioned_beside_a_busy_bus_at_can1() {
-    is_commissioned(Part::Stm32f405, 2, image_on_can2());
+    is_commissioned(PART, 2, image_on_can2());
 }
 
 #[test]
@@ -100,6 +100,6 @@ fn uses_banks_from(first: u32, part: Part, controller: usize, filters: usize, im
 
 #[test]
 fn can1_uses_banks_from_0_on_and_can2_those_from_14_on() {
-    uses_banks_from(0, Part::Stm32f405, 1, 1, image());
-    uses_banks_from(14, Part::Stm32f405, 2, 1, image_on_can2());
+    uses_banks_from(0, PART, 1, 1, image());
+    uses_banks_from(14, PART, 2, 1, image_on_can2());
 }

@@ -102,6 +102,6 @@ fn the_firmware_makes_of_a_damaged_log_what_its_node_does() {
 
 #[test]
 fn the_example_makes_of_a_damaged_log_what_its_node_does() {
-    let board = Board::new(Part::Stm32f407, example(), Default::default());
+    let board = Board::new(PART, example(), Default::default());
     assert_starts_alike(board, |content| example_node(content).flash.content());
 }

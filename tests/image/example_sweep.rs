@@ -18,7 +18,7 @@ const ANSWER: u16 = 0x580 + NODE_ID as u16;
 /// A board with the example and a core that is `slowdown` times slower.
 fn board(slowdown: u8) -> ImageRig {
     let variant = chip(ChipVariant { slowdown, ..ChipVariant::default() });
-    let mut board = Board::new(Part::Stm32f407, example(), variant);
+    let mut board = Board::new(PART, example(), variant);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
     rig.collect(Time::from_ms(50));

@@ -10,7 +10,7 @@ fn assert_nothing_is_lost(session: Session) {
     let mut random = Random::from_environment();
     let chip_variant = ChipVariant { cut_words_flip: true, ..ChipVariant::default() };
     let settings = board::Settings { chip_variant, ..board::Settings::default() };
-    let variant = Variant { image: image(), part: part(), settings };
+    let variant = Variant { image: image(), part: PART, settings };
     let outcome = session.run(&variant, &mut random);
     let cuts = outcome.unwrap_or_else(|error| panic!("{error:#}"));
     // Two records of eight words are the least.

@@ -12,6 +12,7 @@ use emulator::{chip::FLASH_BASE, image::Image};
 use testkit::image_rig;
 pub use testkit::{
     frames::{self, Frames, SILENCE},
+    image::PART,
     image_rig::*,
     random::{Random, every},
     sdo::{self, Client},
@@ -24,11 +25,6 @@ use crate::FIRMWARE;
 /// The image under test.
 pub fn image() -> &'static Image {
     FIRMWARE.image()
-}
-
-/// The chip that it is for.
-pub fn part() -> Part {
-    FIRMWARE.part()
 }
 
 /// A board with a blank settings flash.
@@ -50,7 +46,7 @@ pub fn board_with_flash(content: &[u8]) -> Board {
 
 /// A board of a variant with stored `settings`.
 pub fn board_of(variant: board::Settings, settings: Stored) -> Board {
-    let mut board = Board::new(part(), image(), variant);
+    let mut board = Board::new(PART, image(), variant);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }

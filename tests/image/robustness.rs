@@ -81,7 +81,7 @@ fn the_fastest_watchdog_clock_bears_the_slowest_flash() {
     // LSI may run at 47 kHz instead of 32, and an erase may take 500 ms.
     let variant =
         ChipVariant { lsi_hz: 47_000, flash_timing: Timing::Worst, ..ChipVariant::default() };
-    let mut board = Board::new(part(), image(), chip(variant));
+    let mut board = Board::new(PART, image(), chip(variant));
     board.set_flash(SETTINGS_OFFSET, &[0; 0x8000]);
     let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
     assert_eq!(rig.collect(Time::from_s(30)), SILENCE);

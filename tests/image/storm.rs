@@ -22,7 +22,7 @@ fn in_a_storm_the_image_sends_and_stores_exactly_what_the_node_does() {
 
 #[test]
 fn in_a_storm_the_example_sends_and_stores_exactly_what_its_node_does() {
-    let board = Board::new(Part::Stm32f407, example(), Default::default());
+    let board = Board::new(PART, example(), Default::default());
     let mut storm = ExampleStorm::with_example(board, example(), SEED);
     storm.rage(15_000);
     let ExampleStorm { stores, resets, switches, pdos, .. } = storm;

@@ -72,6 +72,6 @@ fn an_stm32f446_with_a_crystal_of_12_mhz_is_updated_rolled_back_and_restored() {
 
 #[test]
 #[ignore = "builds two images"]
-fn an_stm32f407_on_can2_is_updated_rolled_back_and_restored() {
-    updates(Part::Stm32f407, 2, 8);
+fn an_stm32f405_on_can2_is_updated_rolled_back_and_restored() {
+    updates(Part::Stm32f405, 2, 8);
 }

@@ -31,10 +31,10 @@ fn check(loader: &Image, part: Part, controller: usize, kb: u32) {
 #[ignore = "builds eight images: `.ci/run chips`"]
 fn the_loader_fits_and_starts_whatever_name_chip_and_controller() {
     for (name, part, controller) in [
-        (SHORT, Part::Stm32f405, 1),
-        (LONG, Part::Stm32f405, 1),
+        (SHORT, Part::Stm32f407, 1),
+        (LONG, Part::Stm32f407, 1),
         (LONG, Part::Stm32f446, 1),
-        (SHORT, Part::Stm32f407, 2),
+        (SHORT, Part::Stm32f405, 2),
     ] {
         let loader = product::build_loader(name, part, controller);
         check(

@@ -6,10 +6,11 @@ use canopen_node::{BitRate, Device, NodeId};
 use emulator::{
     Time,
     board::{self, Board},
-    chip::{Part, ResetCause},
+    chip::ResetCause,
     image::Image,
 };
 use firmware::device::DEVICE;
+pub use testkit::image::PART;
 use testkit::{
     boards,
     image_rig::{ImageRig, SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings},
@@ -20,7 +21,6 @@ use testkit::{
     update,
 };
 
-pub const PART: Part = Part::Stm32f405;
 pub const CONTROLLER: u8 = 1;
 pub const NODE: u8 = 5;
 /// The address of RUN.

@@ -1,5 +1,5 @@
 //! A program of less than 4 KB for boards with a loader: boot-up, 100Ah, 1F51h, 1F56h, 2001h, and nothing else. It is written
-//! without the libraries, for node 5 on CAN1 of an STM32F405 at 1 Mbit/s, and stands in place of a product's main.rs.
+//! without the libraries, for node 5 on CAN1 of an STM32F407 at 1 Mbit/s, and stands in place of a product's main.rs.
 
 #![no_std]
 #![no_main]

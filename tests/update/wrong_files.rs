@@ -70,7 +70,7 @@ fn a_wrong_field_of_the_header_is_named_and_nothing_is_erased_or_written() {
         (Field::Length, &[9, 0, 0, 0]),
         (Field::Vendor, &[1, 0, 0, 0]),
         (Field::Product, &[2, 0, 0, 0]),
-        (Field::Chip, b"stm32f407\0"),
+        (Field::Chip, b"stm32f405\0"),
         (Field::Hardware, &[0; 4]),
         (Field::Address, &(RUN + 0x1_0000).to_le_bytes()),
         (Field::Controller, &[2, 0, 0, 0]),

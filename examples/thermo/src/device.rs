@@ -6,7 +6,7 @@ use canopen_stm32f4::chip::APB1_HZ;
 /// Your company's name. Only the EDS contains it.
 pub const VENDOR_NAME: &str = "Not registered";
 /// The product in one line. Only the EDS contains it.
-pub const DESCRIPTION: &str = "Four temperatures and two relays on an STM32F446";
+pub const DESCRIPTION: &str = "Four temperatures and two relays on an STM32F407";
 
 /// The device, but for its serial number: `main.rs` takes that from the chip's unique id.
 pub const DEVICE: Device = Device::new(

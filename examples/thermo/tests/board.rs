@@ -7,18 +7,18 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::Clock,
-    chip::{Part, Pin},
+    chip::Pin,
     image::Image,
 };
 use example_thermo::device;
 use testkit::{
-    image,
+    image::{self, PART},
     image_rig::{ImageRig, SETTINGS_OFFSET, flash_with, settings},
     sdo::Client,
 };
 
 static IMAGE: LazyLock<Image> = LazyLock::new(|| {
-    image::build_example("thermo", Part::Stm32f446).unwrap_or_else(|error| panic!("{error}"))
+    image::build_example("thermo", PART).unwrap_or_else(|error| panic!("{error}"))
 });
 
 const SWITCHES: [u8; 7] = [4, 5, 6, 7, 8, 9, 10];
@@ -30,7 +30,7 @@ fn board_with_switches(closed: u8) -> Board {
         controller: 2,
         ..Settings::default()
     };
-    let board = Board::new(Part::Stm32f446, &IMAGE, settings);
+    let board = Board::new(PART, &IMAGE, settings);
     set_switches(&board, closed);
     set_sensors(&board, [700; 4]);
     board

@@ -33,7 +33,7 @@ impl Board {
     /// A board with an 8 MHz crystal and erased settings.
     pub fn new(frames: &[Frame], machine: Machine) -> Self {
         Self {
-            chip: Chip::new(Part::Stm32f405, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]),
+            chip: Chip::new(Part::Stm32f407, Clock { hz: 8_000_000, ppm: 0 }, [0; 12]),
             bus: Bus::new(),
             adapter: Adapter::new(125_000),
             to_send: frames.iter().copied().collect(),

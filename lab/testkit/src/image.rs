@@ -16,6 +16,9 @@ use crate::cargo::{cargo_for_the_chip, workspace};
 
 /// The package of the plain firmware.
 const FIRMWARE: &str = "firmware";
+/// The usual chip of programs and boards. One chip for all of them saves the time to compile its registers again.
+pub const PART: Part = Part::Stm32f407;
+
 /// A firmware of this workspace whose release image is tested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Firmware {
@@ -28,21 +31,13 @@ pub enum Firmware {
 }
 
 impl Firmware {
-    /// The chip that [`image`](Self::image) is for.
-    pub const fn part(self) -> Part {
-        match self {
-            Self::Default | Self::Plain => Part::Stm32f405,
-            Self::Io => Part::Stm32f407,
-        }
-    }
-
-    /// The release image, built once.
+    /// The release image for [`PART`], built once.
     pub fn image(self) -> &'static Image {
         static IMAGES: [OnceLock<Image>; 3] = [const { OnceLock::new() }; 3];
         let build = || match self {
-            Self::Default => build(self.part()),
-            Self::Plain => build_plain(self.part()),
-            Self::Io => build_example("io", self.part()),
+            Self::Default => build(PART),
+            Self::Plain => build_plain(PART),
+            Self::Io => build_example("io", PART),
         };
         IMAGES[self as usize].get_or_init(|| build().unwrap_or_else(|error| panic!("{error}")))
     }

@@ -7,7 +7,6 @@ use canopen_node::{BitRate, BitRateSetting, NodeId, Settings, lss, settings::Log
 use emulator::{
     Time, board,
     can::{Adapter, Frame, Id},
-    chip::Part,
     network::{AdapterId, Event, Network, Short, Source, What},
 };
 use lss_master::{Master, Procedure};
@@ -15,7 +14,7 @@ use lss_master::{Master, Procedure};
 use super::{
     flash::BoardFlash,
     frames::{self, Frames},
-    image::{Firmware, example},
+    image::{Firmware, PART, example},
     lss_session,
     sdo::{self, Client},
     settings::Stored,
@@ -63,7 +62,7 @@ pub struct Sent {
 /// A board with a blank settings flash; boards with different `number` have different serial numbers.
 pub fn blank_board(firmware: Firmware, number: u8) -> board::Board {
     let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
-    board::Board::new(firmware.part(), firmware.image(), settings)
+    board::Board::new(PART, firmware.image(), settings)
 }
 
 /// A board with stored `settings`.
@@ -75,7 +74,7 @@ pub fn board_with(firmware: Firmware, number: u8, settings: Stored) -> board::Bo
 
 /// A board with the image of the example `io` and stored `settings`.
 pub fn example_board(settings: Stored) -> board::Board {
-    let mut board = board::Board::new(Part::Stm32f407, example(), board::Settings::default());
+    let mut board = board::Board::new(PART, example(), board::Settings::default());
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings]));
     board
 }

@@ -72,9 +72,9 @@ pub struct Arguments {
     /// The data sheet of --elf
     #[arg(long, value_name = "FILE", requires = "elf")]
     eds: Option<PathBuf>,
-    /// The chip on the board [default: that of the image; stm32f405 for --elf]
-    #[arg(long)]
-    chip: Option<Part>,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f407")]
+    chip: Part,
     /// The CAN controller of --elf on the bus: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]
     controller: u8,
@@ -221,7 +221,7 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         anyhow::Ok(Eds::parse(&text.with_context(|| format!("cannot read {}", path.display()))?))
     };
     if let (Some(elf), Some(eds)) = (&arguments.elf, &arguments.eds) {
-        let chip = arguments.chip.unwrap_or(Part::Stm32f405);
+        let chip = arguments.chip;
         let name = elf.file_name().unwrap_or_default().to_string_lossy();
         let name = format!("{name} on {}", chip.name());
         let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
@@ -235,13 +235,12 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         let (image, eds) = (Image::load(elf)?, read(eds)?);
         return Ok(vec![Product { name, chip, board, image, eds }]);
     }
-    let images: Vec<(ImageName, Option<Part>)> = match &arguments.image[..] {
-        _ if arguments.chips => Part::F4.map(|chip| (ImageName::Default, Some(chip))).to_vec(),
+    let images: Vec<(ImageName, Part)> = match &arguments.image[..] {
+        _ if arguments.chips => Part::F4.map(|chip| (ImageName::Default, chip)).to_vec(),
         [] => [ImageName::Default, ImageName::Io].map(|name| (name, arguments.chip)).to_vec(),
         names => names.iter().map(|name| (*name, arguments.chip)).collect(),
     };
-    let product = |(product, chip): (ImageName, Option<Part>)| {
-        let chip = example::chip(chip, product.example());
+    let product = |(product, chip): (ImageName, Part)| {
         let image = example::image(chip, product.example())?;
         let eds = read(&workspace().join(product.eds()))?;
         let name = format!("{} on {}", product.eds().trim_start_matches("eds/"), chip.name());

@@ -15,13 +15,12 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use emulator::{
     can::{Frame, Id},
-    chip::Part,
     network::{Network, Recording},
 };
 use testkit::{
     boards::{self, FIRST_START},
     explain::explain,
-    image,
+    image::{self, PART},
     image_rig::DEFAULT_BIT_RATE,
 };
 
@@ -31,7 +30,6 @@ use xtask::emulate::{
     client::{self, Input},
 };
 
-const PART: Part = Part::Stm32f405;
 /// The sessions begin with boards 0 and 1; the others have no power yet.
 const BOARDS: usize = 4;
 const POWERED: usize = 2;

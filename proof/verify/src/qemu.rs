@@ -10,7 +10,6 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::{Adapter, Frame},
-    chip::Part,
     image::Image,
     network::Network,
 };
@@ -19,6 +18,7 @@ use testkit::{
     cargo::{TARGET, cargo, target_directory},
     explain::explain,
     frames::of_master,
+    image::{self, PART},
     image_rig::DEFAULT_BIT_RATE,
     wire::{bit_per_s, on_the_wire},
 };
@@ -26,9 +26,8 @@ use testkit::{
 use xtask::tool;
 
 const QEMU: &str = "qemu-system-arm";
-/// The QEMU machine with an STM32F405.
+/// A QEMU machine with an STM32F4.
 const MACHINE: &str = "netduinoplus2";
-const PART: Part = Part::Stm32f405;
 /// An instruction takes 2^3 ns, little more than a cycle at 160 MHz. Only the duration of a reset varies by some
 /// microseconds from run to run.
 const TIME: &str = "shift=3,sleep=off";
@@ -50,7 +49,7 @@ pub struct Arguments;
 pub fn run() -> anyhow::Result<()> {
     let version = tool::version(QEMU, "Debian: apt-get install qemu-system-arm")?;
     let version = version.split_whitespace().nth(3).unwrap_or("unknown");
-    let image = testkit::image::build(PART)?;
+    let image = image::build(PART)?;
     let plugin = build_plugin()?;
     let output = run_qemu(&plugin)?;
     let ours = run_emulator(&image)?;

@@ -38,9 +38,9 @@ pub struct Arguments {
     /// Seed of the frames; random if not given
     #[arg(long)]
     seed: Option<u64>,
-    /// The chip on the board [default: stm32f405, or that of the example]
-    #[arg(long)]
-    chip: Option<Part>,
+    /// The chip on the board
+    #[arg(long, default_value = "stm32f407")]
+    chip: Part,
     /// Storm an example of a product
     #[arg(long)]
     example: Option<Example>,
@@ -48,9 +48,8 @@ pub struct Arguments {
 
 /// Runs the storm. Panics if anything breaks.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let chip = example::chip(arguments.chip, arguments.example);
-    let image = example::image(chip, arguments.example)?;
-    let board = boards::board(chip, &image, 0);
+    let image = example::image(arguments.chip, arguments.example)?;
+    let board = boards::board(arguments.chip, &image, 0);
     let seed = arguments.seed.unwrap_or_else(Random::seed);
     println!("--seed {seed}");
     match arguments.example {

@@ -23,7 +23,7 @@ use emulator::{
     chip::Part,
     network::{Network, Recording},
 };
-use testkit::{image_rig::DEFAULT_BIT_RATE, settings::Stored, wire::bit_per_s};
+use testkit::{image::PART, image_rig::DEFAULT_BIT_RATE, settings::Stored, wire::bit_per_s};
 
 use testkit::boards::{self, FIRST_START};
 
@@ -85,9 +85,9 @@ pub struct Arguments {
     /// Take commands from the standard input: switch the power, short the bus, set pins, voltages and the temperature
     #[arg(long)]
     console: bool,
-    /// The chip on the boards [default: stm32f405, or that of the example]; with stm32g431 only on those of --elf
-    #[arg(long, value_parser = Part::any)]
-    chip: Option<Part>,
+    /// The chip on the boards; stm32g431 only on those of --elf
+    #[arg(long, default_value = "stm32f407", value_parser = Part::any)]
+    chip: Part,
     /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]
     controller: u8,
@@ -165,14 +165,14 @@ struct Prepared {
 }
 
 fn prepare(arguments: &Arguments) -> anyhow::Result<Prepared> {
-    let chip = example::chip(arguments.chip, arguments.example);
-    let chip_of_ours = arguments.chip.filter(|chip| Part::F4.contains(chip));
+    let chip = arguments.chip;
+    let is_ours = Part::F4.contains(&chip);
     ensure!(
-        chip_of_ours == arguments.chip || !arguments.elf.is_empty(),
+        is_ours || !arguments.elf.is_empty(),
         "--chip {} needs --elf: our firmware does not run on it",
         chip.name()
     );
-    let chip_of_ours = example::chip(chip_of_ours, arguments.example);
+    let chip_of_ours = if is_ours { chip } else { PART };
     let controller = arguments.controller;
     controller::check(chip, controller)?;
     ensure!(arguments.boards > 0 || !arguments.elf.is_empty(), "--boards 0 needs --elf");

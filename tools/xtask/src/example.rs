@@ -30,15 +30,6 @@ impl Example {
     }
 }
 
-/// The chip that was asked for, or the usual one of the example or of the plain firmware.
-pub fn chip(chip: Option<Part>, example: Option<Example>) -> Part {
-    chip.unwrap_or(match example {
-        None => Part::Stm32f405,
-        Some(Example::Commissioner | Example::Io) => Part::Stm32f407,
-        Some(Example::Thermo) => Part::Stm32f446,
-    })
-}
-
 /// The board of an example, or of the plain firmware: its crystal, and the CAN controller on the bus as in the product's
 /// `pins.rs`.
 pub fn board(example: Option<Example>) -> Settings {

@@ -4,18 +4,16 @@ use canopen_stm32f4::chip::Chip;
 use emulator::chip::Part;
 use testkit::cargo::{cargo_for_the_chip, workspace};
 
-use crate::{
-    example::{self, Example},
-    tool,
-};
+use crate::{example::Example, tool};
 
 /// Write the firmware to a board, with probe-rs, and show its log
 ///
 /// The log runs until Ctrl-C. The board is not halted at a reset or a fault, so that the log continues.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The chip on the board [default: stm32f405, or that of the example]
-    chip: Option<Part>,
+    /// The chip on the board
+    #[arg(default_value = "stm32f407")]
+    chip: Part,
     /// Write an example of a product in place of the plain firmware
     #[arg(long)]
     example: Option<Example>,
@@ -28,8 +26,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "Install it with `cargo install probe-rs-tools --locked`, or see \
          https://probe.rs/docs/getting-started/installation; no board at hand? Try `cargo demo`",
     )?;
-    let part = example::chip(arguments.chip, arguments.example);
-    let chip = Chip::named(part.name()).expect("a test compares the names");
+    let chip = Chip::named(arguments.chip.name()).expect("a test compares the names");
     let package = Example::package(arguments.example);
     tool::run(
         cargo_for_the_chip(workspace(), "run")?

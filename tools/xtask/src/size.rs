@@ -9,16 +9,16 @@ use testkit::{
     image,
 };
 
-use crate::example::{self, Example};
+use crate::example::Example;
 
 /// Show the firmware's memory use, and check it against the budget
 ///
 /// Fails if the flash takes more than tools/xtask/size-budget.toml allows.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The chip to build for [default: stm32f405, or that of the example]
-    #[arg(long)]
-    chip: Option<Part>,
+    /// The chip to build for
+    #[arg(long, default_value = "stm32f407")]
+    chip: Part,
     /// Show an example of a product, which has no budget
     #[arg(long)]
     example: Option<Example>,
@@ -34,10 +34,9 @@ fn in_ram(section: &Section) -> bool {
 
 /// Prints the sizes. Fails if they are above the budget.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let chip = example::chip(arguments.chip, arguments.example);
-    let elf = image::build_elf(&Example::package(arguments.example), chip)?;
+    let elf = image::build_elf(&Example::package(arguments.example), arguments.chip)?;
     let has_budget = arguments.example.is_none();
-    let (report, flash) = report(&elf, chip, has_budget)?;
+    let (report, flash) = report(&elf, arguments.chip, has_budget)?;
     print!("{report}");
     let budget = budget();
     if has_budget && flash > budget {

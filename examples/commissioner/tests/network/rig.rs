@@ -11,14 +11,15 @@ use emulator::{
     Time,
     board::{self, Board},
     can::Adapter,
-    chip::{Part, Pin},
+    chip::Pin,
     image::Image,
     network::{AdapterId, Network},
 };
 use example_commissioner::application::State;
 use testkit::{
     flash::BoardFlash,
-    frames, image,
+    frames,
+    image::{self, PART},
     image_rig::{self, SETTINGS_OFFSET, flash_with},
     node_rig::{NodeRig, device},
     random::Random,
@@ -28,7 +29,7 @@ use testkit::{
 };
 
 static IMAGE: LazyLock<Image> = LazyLock::new(|| {
-    image::build_example("commissioner", Part::Stm32f407).unwrap_or_else(|error| panic!("{error}"))
+    image::build_example("commissioner", PART).unwrap_or_else(|error| panic!("{error}"))
 });
 
 const BUTTON: Pin = Pin('A', 0);
@@ -78,7 +79,7 @@ pub enum Party {
 /// A commissioner with an empty table at this rate; those with different numbers have different serial numbers.
 pub fn commissioner(number: u8, rate: BitRate) -> Board {
     let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
-    let mut board = Board::new(Part::Stm32f407, &IMAGE, settings);
+    let mut board = Board::new(PART, &IMAGE, settings);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[image_rig::settings(OWN as u8, rate)]));
     board
 }

@@ -10,10 +10,11 @@ use canopen_node::Frame;
 use emulator::{
     Time,
     can::Clock,
-    chip::{Chip, FLASH_BASE, Part, RAM_BASE},
+    chip::{Chip, FLASH_BASE, RAM_BASE},
     engine::{Engine, rsemu::Rsemu},
     image::Image,
 };
+use testkit::image::PART;
 
 /// The pattern with which the harness fills the free stack.
 const UNTOUCHED: [u8; 4] = 0xC5C5_C5C5_u32.to_le_bytes();
@@ -48,7 +49,7 @@ impl Machine {
     pub fn start(elf: &Path) -> anyhow::Result<Self> {
         let image = Image::load(elf)?;
         let crystal = Clock { hz: 8_000_000, ppm: 0 };
-        let mut chip = Chip::new(Part::Stm32f405, crystal, [0; 12]);
+        let mut chip = Chip::new(PART, crystal, [0; 12]);
         for (address, bytes) in image.segments().filter(|(address, _)| *address < RAM_BASE) {
             chip.flash_mut().load(address - FLASH_BASE, bytes);
         }

@@ -2,10 +2,7 @@
 
 use std::time::Duration;
 
-use emulator::{
-    can::{Frame, Id},
-    chip::Part,
-};
+use emulator::can::{Frame, Id};
 use lss_slave::{BitRate, lss::Request};
 use testkit::{boards, image};
 use zencan_client::{
@@ -26,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 #[test]
 fn zencan_client_finds_and_configures_a_board_that_keeps_it() {
-    let board = boards::board(Part::Stm32f405, image::image(), 0);
+    let board = boards::board(image::PART, image::image(), 0);
     zencan_sessions::run(async {
         let bus = TokioBus::new([board], OLD_RATE);
         session(&bus).await;

@@ -161,14 +161,13 @@ fn channel(pin: Pin) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
-    use emulator::chip::Part;
     use testkit::{boards, image};
 
     use super::*;
 
     fn network() -> Network {
         let mut network = Network::new();
-        network.add_board(boards::board(Part::Stm32f405, image::image(), 0));
+        network.add_board(boards::board(image::PART, image::image(), 0));
         network
     }
 

@@ -99,14 +99,10 @@ fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use canopen_node::{BitRate, NodeId};
-    use emulator::chip::Part;
-
-    use canopen_node::Settings;
+    use canopen_node::{BitRate, NodeId, Settings};
+    use testkit::image::PART;
 
     use super::*;
-
-    const PART: Part = Part::Stm32f446;
 
     fn image(byte: u8) -> Image {
         Image::from_segments(vec![(FLASH_BASE, vec![byte; 64])])
@@ -159,7 +155,7 @@ mod tests {
         fs::write(directory.join("board-0.bin"), [0; 100]).expect("the directory was made");
         let mut board = boards::board(PART, &image(1), 0);
         let refusal = memory.restore(&mut board, &image(1), 0, None).expect_err("100 bytes");
-        assert!(refusal.to_string().contains("has 100 bytes instead of 524288"), "{refusal}");
+        assert!(refusal.to_string().contains("has 100 bytes instead of 1048576"), "{refusal}");
         fs::remove_dir_all(directory).expect("it was made");
     }
 }

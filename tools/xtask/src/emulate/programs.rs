@@ -182,6 +182,8 @@ impl Program {
 
 #[cfg(test)]
 mod tests {
+    use testkit::image::PART;
+
     use super::*;
 
     /// Loads a word from `address` and stops.
@@ -202,9 +204,9 @@ mod tests {
 
     fn report_on(image: Image) -> String {
         let mut network = Network::new();
-        let program = Program::new(0, Path::new("dir/a.elf"), Part::Stm32f405, image.clone());
+        let program = Program::new(0, Path::new("dir/a.elf"), PART, image.clone());
         let mut programs = Programs(vec![program]);
-        network.add_board(boards::board(Part::Stm32f405, &image, 0));
+        network.add_board(boards::board(PART, &image, 0));
         network.run_for(Time::from_ms(5));
         programs.print(&network);
         programs.report(&network)
@@ -213,7 +215,7 @@ mod tests {
     #[test]
     fn the_report_names_each_access_that_is_not_modelled() {
         let report = report_on(program_that_reads(0x4000_5400));
-        assert!(report.starts_with("a.elf on stm32f405: 5 ms"), "{report}");
+        assert!(report.starts_with("a.elf on stm32f407: 5 ms"), "{report}");
         let line = "\n  not modelled: I2C1, offset 00h, read once by 08000010\n";
         assert!(report.contains(line), "{report}");
         let report = report_on(program_that_reads(0x4002_3800));
@@ -232,7 +234,7 @@ mod tests {
         assert!(refusal(0x0808_0000).contains("another --chip?"));
         assert!(refusal(0x0800_4000).contains("nothing at 08000000"));
         let mut network = Network::new();
-        let (part, settings) = (Part::Stm32f405, Settings::default());
+        let (part, settings) = (PART, Settings::default());
         let mut memory = Memory::open(None).expect("there are no files");
         let paths = ["no/such".into()];
         let missing = Programs::load(&paths, part, settings, &mut memory, &mut network);
