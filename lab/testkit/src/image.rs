@@ -121,7 +121,7 @@ pub(crate) fn build_with(
     part: Part,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
-    build_bin(directory, [package, package, "release"], part, change)
+    build_bin(directory, [package; 2], part, change)
 }
 
 /// Builds the loader of a product in `directory`, which has the name of its package, and returns the ELF file.
@@ -132,23 +132,33 @@ pub(crate) fn build_loader(
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
     let bin = format!("{package}-loader");
-    build_bin(directory, [package, &bin, "loader"], part, |command| {
-        // There is no room for a log.
+    build_bin(directory, [package, &bin], part, |command| {
+        // There is no room for a log. This package has that variable built in: a second one beside that of the program.
         command.env("DEFMT_LOG", "off");
+        command.args(["--config", "profile.release.package.defmt-macros.codegen-units=1"]);
+        // It has 32 KB. The program needs the packages of others too, so these stay as they are.
+        for of_loader in [package, "canopen-node", "canopen-stm32f4", "lss-slave", "program-update"]
+        {
+            for option in ["opt-level=\"z\"", "overflow-checks=false"] {
+                command
+                    .arg("--config")
+                    .arg(format!("profile.release.package.{of_loader}.{option}"));
+            }
+        }
         change(command);
     })
 }
 
 fn build_bin(
     directory: &Path,
-    [package, bin, profile]: [&str; 3],
+    [package, bin]: [&str; 2],
     part: Part,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
     let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
     let mut command = cargo_for_the_chip(directory, "build")?;
     command
-        .args(["--package", package, "--bin", bin, "--profile", profile])
+        .args(["--package", package, "--bin", bin, "--release"])
         .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
         .stdin(Stdio::null())
         .stderr(Stdio::inherit());

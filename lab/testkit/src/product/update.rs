@@ -40,12 +40,6 @@ pub(super) const CHANGES: &[Change] = &[
          test = false\nbench = false\ndoc = false\n\n[[bin]]\nname = \"flash\"",
     ),
     (
-        "Cargo.toml",
-        "[profile.release.package]\n@name@",
-        "# The loader, which has 32 KB.\n[profile.loader]\ninherits = \"release\"\nopt-level = \"z\"\noverflow-checks = false\n\n\
-         [profile.loader.package]\n@name@ = { overflow-checks = false }\n\n[profile.release.package]\n@name@",
-    ),
-    (
         "build.rs",
         "        for arg in [&format!(\"-L{}\", output.display()), \"-Tlink.x\", \"-Tdefmt.x\", \"--nmagic\"] {\n            \
          println!(\"cargo::rustc-link-arg-bins={arg}\");\n        }\n",
