@@ -168,7 +168,7 @@ impl NodeIds {
             outcome = self.give(session, place.address, place.id, to);
         }
         let boots = outcome?;
-        *place = Place { id: to, is_shared: false, ..*place };
+        place.id = to;
         Ok(boots)
     }
 }
