@@ -222,6 +222,16 @@ fn a_board_whose_flash_fails_says_so_and_the_others_go_on() {
 }
 
 #[test]
+fn a_board_whose_flash_does_not_become_ready_is_told() {
+    let fleet = Fleet::new(&[5]);
+    fleet.board(0).chip.borrow_mut().erase_us = 100_000_000;
+    let outcome = fleet.update(&new(), "");
+    assert_eq!(outcome.code, 1);
+    let words = "clearing: its flash does not become ready";
+    assert!(outcome.error.contains(words), "{}", outcome.error);
+}
+
+#[test]
 fn a_program_that_the_board_finds_wrong_is_taken_back() {
     let fleet = Fleet::new(&[5]);
     // Its stack is where another chip has RAM.
@@ -282,12 +292,18 @@ fn a_request_or_an_answer_that_is_lost_fails_no_update() {
 }
 
 #[test]
-fn a_board_that_is_gone_says_when_it_was_last_heard() {
+fn a_board_that_loses_its_power_says_when_it_was_last_heard() {
     let (clear, start) =
         (number_of(|frame| is_control(frame, 3)), number_of(|frame| is_control(frame, 1)));
-    for (at, words) in [(clear + 1, "clearing: "), (start, "it does not answer any more")] {
+    let refused = "it does not clear: not in the present state of the device (abort 08000022)";
+    for (at, fault, words) in [
+        (clear + 1, Fault::PowerCut(0), "clearing: "),
+        (start, Fault::PowerCut(0), "it does not answer any more"),
+        // The program runs again.
+        (clear, Fault::PowerFails(0), refused),
+    ] {
         let fleet = Fleet::new(&[5]);
-        fleet.fail_at(at, Fault::PowerCut(0));
+        fleet.fail_at(at, fault);
         let outcome = fleet.update(&new(), "5");
         assert_eq!(outcome.code, 1, "{words}");
         assert!(outcome.error.contains(words), "{}", outcome.error);
@@ -343,7 +359,7 @@ fn a_bus_without_a_board_is_told() {
 
 #[test]
 fn the_report_as_json_has_each_board() {
-    let other = canopen_node::lss::Address { product_code: 1, ..ADDRESS };
+    let other = canopen_node::lss::Address { vendor_id: 1, ..ADDRESS };
     let fleet = Fleet::of(&[(5, device(ADDRESS)), (6, device(other))]);
     let outcome = fleet.update(&new(), "--json");
     let json: Value = serde_json::from_str(&outcome.text).expect("JSON");

@@ -53,6 +53,8 @@ pub enum Fault {
     AdapterGone,
     /// The power of the board with this number fails.
     PowerCut(usize),
+    /// The same for a moment.
+    PowerFails(usize),
     /// From then on its flash does.
     FlashFails(usize),
     /// The frame is lost.
@@ -288,6 +290,10 @@ impl Adapter for Fleet {
                 return self.assert_adapter();
             }
             Some((_, Fault::PowerCut(board))) => self.power_off(board),
+            Some((_, Fault::PowerFails(board))) => {
+                self.power_off(board);
+                self.power_on(board, Cause::Other);
+            }
             Some((_, Fault::FrameIsLost)) => return Ok(()),
             Some((_, Fault::AnswerIsLost(board))) => {
                 self.bus().slaves[board].defect = Some(Defect::LosesAnswers(1));

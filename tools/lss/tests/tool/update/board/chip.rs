@@ -6,8 +6,6 @@ use program_update::{Area, Flash, FlashError};
 
 /// The sectors of RUN and of BACKUP.
 pub const SECTORS: [u32; 2] = [0x2000, 0x2000];
-/// The time of an erase in microseconds.
-const ERASE: u64 = 100_000;
 
 /// The flash.
 pub struct Chip {
@@ -18,6 +16,8 @@ pub struct Chip {
     end: Option<Result<(), FlashError>>,
     /// The sectors that were erased so far.
     pub erases: usize,
+    /// The time of an erase in microseconds.
+    pub erase_us: u64,
     /// What each operation ends with.
     pub fault: Option<FlashError>,
 }
@@ -32,7 +32,16 @@ impl Chip {
         let mut run = vec![0xFF; SECTORS.iter().sum::<u32>() as usize];
         let backup = run.clone();
         run[..file.len()].copy_from_slice(file);
-        Self { run, backup, now: 0, ready_at: 0, end: None, erases: 0, fault: None }
+        Self {
+            run,
+            backup,
+            now: 0,
+            ready_at: 0,
+            end: None,
+            erases: 0,
+            erase_us: 100_000,
+            fault: None,
+        }
     }
 
     /// Lets time pass.
@@ -93,7 +102,8 @@ impl Flash for ChipFlash {
 
     fn erase(&mut self, area: Area, sector: usize) -> Result<(), FlashError> {
         let mut chip = self.0.borrow_mut();
-        if chip.begin(ERASE) {
+        let us = chip.erase_us;
+        if chip.begin(us) {
             chip.erases += 1;
             let start: u32 = SECTORS[..sector].iter().sum();
             chip.area(area)[start as usize..][..SECTORS[sector] as usize].fill(0xFF);
