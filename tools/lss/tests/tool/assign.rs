@@ -123,10 +123,13 @@ fn a_node_id_of_the_table_that_another_board_has_is_not_given_twice() {
 fn a_wrong_table_changes_nothing() {
     let boards = Boards::new(RATE, &[0xFF]);
     let path = new_file("wrong.toml");
-    fs::write(&path, "[[node]]\nid = 200\naddress = \"1:2:3:4\"\n").expect("it can be written");
-    let outcome = boards.lss(&format!("assign --table {}", path.display()));
-    assert_eq!(outcome.code, 1);
-    assert!(outcome.error.ends_with("200 is no node-ID"), "{}", outcome.error);
+    let id: &[u8] = b"[[node]]\nid = 200\naddress = \"1:2:3:4\"\n";
+    for (text, why) in [(id, "200 is no node-ID"), (b"\xFF", "did not contain valid UTF-8")] {
+        fs::write(&path, text).expect("it can be written");
+        let outcome = boards.lss(&format!("assign --table {}", path.display()));
+        assert_eq!(outcome.code, 1);
+        assert!(outcome.error.ends_with(why), "{}", outcome.error);
+    }
     assert_eq!(boards.stored(0), None);
 }
 
@@ -184,6 +187,7 @@ fn a_board_without_fastscan_is_told_and_can_be_given_a_node_id() {
     assert!(outcome.error.contains("does not answer to Fastscan"), "{}", outcome.error);
     let list = boards.lss("list");
     assert!(list.text.contains("\nnone     -  "), "{}", list.text);
+    assert!(list.text.ends_with("  125\n"), "{}", list.text);
     let outcome = boards.lss("set-rate 500");
     assert!(outcome.error.starts_with("a board without a node-ID does not tell its LSS address"));
     assert_eq!(boards.lss(&format!("set-id 5 --store --address {}", address_text(0))).code, 0);

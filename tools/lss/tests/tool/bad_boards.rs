@@ -434,10 +434,11 @@ fn the_node_id_of_a_heartbeat_is_not_given_though_nobody_answers() {
 
 #[test]
 fn a_node_whose_first_answer_is_lost_keeps_its_node_id_alone() {
-    let wire = Wire::new(RATE, &[1, 0xFF]);
+    // Others answer.
+    let wire = Wire::new(RATE, &[1, 0xFF, 5, 6]);
     wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(1));
     assert_eq!(wire.lss("assign").code, 0);
-    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+    assert_eq!(wire.ids(), [1, 2, 5, 6].map(|id| (Some(id), Some(id))));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, device},
     random::Random,
-    slave_bus::{BusAdapter, Habits, SlaveBus},
+    slave_bus::{BusAdapter, Habits, Slave, SlaveBus},
 };
 
 use crate::emulated::{Outcome, run, text};
@@ -162,19 +162,29 @@ fn slaves_without_a_boot_up_message_get_a_node_id() {
 
 #[test]
 fn slaves_without_fastscan_are_found_by_identify_if_the_product_is_known() {
-    let without = &[0x51];
+    let without: &[u8] = &[0x51];
     let table = cargo::scratch("without-fastscan.toml");
+    let assign = |slaves: &Slaves| {
+        let known = slaves.address(1);
+        fs::write(&table, format!("[[node]]\nid = 2\naddress = \"{known}\"\n")).expect("a table");
+        slaves.lss(&format!("assign --table {}", table.display()))
+    };
+    let words = "does not answer to Fastscan";
     // Whether the slaves answer at the same moment is a matter of chance.
     for _ in 0..6 {
         let slaves = Slaves::new([(); 3].map(|()| Habits { without, ..Habits::default() }));
         let outcome = slaves.lss("assign");
         assert_eq!(outcome.code, 1);
-        assert!(outcome.error.contains("does not answer to Fastscan"), "{}", outcome.error);
-        let known = slaves.address(1);
-        fs::write(&table, format!("[[node]]\nid = 2\naddress = \"{known}\"\n")).expect("a table");
-        slaves.done(&format!("assign --table {}", table.display()));
+        assert!(outcome.error.contains(words), "{}", outcome.error);
+        assert_eq!(assign(&slaves).code, 0);
         slaves.assert_assigned();
     }
+    // The last one does not support identify remote slave either.
+    let habits = [without, without, &[0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B, 0x51]];
+    let outcome =
+        assign(&Slaves::new(habits.map(|without| Habits { without, ..Habits::default() })));
+    assert_eq!((outcome.code, outcome.text.lines().count()), (1, 2), "{}", outcome.text);
+    assert!(outcome.error.contains(words), "{}", outcome.error);
 }
 
 #[test]
@@ -215,10 +225,12 @@ fn two_boards_with_one_lss_address_are_no_success() {
     assert_eq!((listed.code, listed.twice), (0, vec![1]), "the boards have no node-ID yet");
     let outcome = slaves.lss("assign");
     assert_eq!((outcome.code, outcome.twice), (1, vec![1]));
-    let address = slaves.address(0);
+    let (address, one) = (slaves.address(0), NodeId::new(1));
     let words = format!("2 boards have the LSS address {address}, and both are node 1");
     assert!(outcome.error.contains(&words), "{}", outcome.error);
     assert!(!outcome.text.contains("verified"), "{}", outcome.text);
+    let is_stored = |slave: &Slave| slave.rig.stored().is_some_and(|own| own.node_id == one);
+    assert!(slaves.adapter.bus().slaves.iter().all(is_stored), "they keep the node-ID in use");
     // The next runs see it, too.
     let table = cargo::scratch("twins.toml");
     let entry = format!("[[node]]\nid = 1\naddress = \"{address}\"\n");

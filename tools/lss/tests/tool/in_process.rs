@@ -80,6 +80,8 @@ pub struct Record {
     /// There was a write.
     has_begun: bool,
     is_adapter_gone: bool,
+    /// The adapter does not report its status.
+    pub has_no_status: bool,
 }
 
 /// The LSS address of the board with this number.
@@ -334,7 +336,8 @@ impl Adapter for Wire {
     }
 
     fn status(&mut self) -> Result<Option<Status>, Stop> {
-        self.adapter.status()
+        let status = self.adapter.status()?;
+        Ok(status.filter(|_| !self.record().has_no_status))
     }
 
     fn now(&self) -> Instant {

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, Frame};
 use serde_json::Value;
 use testkit::cargo;
 
@@ -36,7 +36,18 @@ fn a_network_with_heartbeats_is_found_by_listening_alone() {
     assert_eq!(boards.rig().errors().len(), errors, "nobody is disturbed");
     assert!(outcome.text.contains("the network runs at 125 kbit/s, and not at 1000 kbit/s"));
     assert!(outcome.text.contains("heard: heartbeat of node 5: pre-operational ("));
+    assert!(!outcome.text.contains("(0)"), "{}", outcome.text);
     assert!(outcome.text.contains("answers to SDO: node 5, 9\n"));
+}
+
+#[test]
+fn a_network_is_found_without_the_status_of_the_adapter() {
+    let wire = Wire::new(BitRate::Kbit250, &[5, 7]);
+    wire.record().has_no_status = true;
+    let outcome = wire.lss("find --ask");
+    let words = "the network runs at 250 kbit/s, and not at 125 kbit/s: use --bit-rate 250\n\
+        answers to SDO: node 5, 7\n";
+    assert!(outcome.text.ends_with(words), "{}{}", outcome.text, outcome.error);
 }
 
 #[test]
@@ -157,6 +168,21 @@ fn two_boards_with_one_node_id_are_seen_and_can_be_told_apart() {
     let set = format!("set-id 6 --reset --address {}", address_text(1));
     assert_eq!(boards.lss(&set).code, 0);
     assert_eq!(boards.lss("list").code, 0);
+}
+
+#[test]
+fn a_node_whose_answer_comes_twice_is_one() {
+    let wire = Wire::new(RATE, &[5, 6]);
+    let mut bus = wire.bus();
+    let now = bus.now();
+    let answer = |id, board| Frame::new(id, &[0x43, 0x18, 0x10, 4, board, 0x10, 0, 0]);
+    // The second one comes while node 5 alone is asked again.
+    for (ms, frame) in [(100, answer(0x585, 0)), (970, answer(0x586, 1))] {
+        bus.send_from_another_master(now + 1_000 * ms, frame.expect("a frame"));
+    }
+    drop(bus);
+    let outcome = wire.lss("list");
+    assert_eq!((outcome.code, outcome.text.lines().count()), (0, 3), "{}", outcome.text);
 }
 
 #[test]

@@ -1,12 +1,13 @@
 //! `lss assign --one-at-a-time`: a person holds a board, and learns which it is.
 
-use std::sync::Arc;
+use std::{fs, sync::Arc};
 
 use can_bus::person::Person;
 use canopen_node::BitRate;
 use testkit::slave_bus::Defect;
 
 use crate::{
+    assign::new_file,
     emulated::run,
     in_process::{Wire, address_text},
 };
@@ -45,6 +46,19 @@ fn each_board_that_is_plugged_in_gets_the_next_node_id_and_is_named() {
     assert!(outcome.text.starts_with("plug in the next board, within 120 s; Enter ends\n"));
     assert!((200..240).contains(&wire.seconds()), "{} s", wire.seconds());
     wire.assert_waiting();
+}
+
+#[test]
+fn a_board_of_the_table_gets_its_own_node_id_after_a_new_one() {
+    let table = new_file("one-at-a-time.toml");
+    let entry = format!("[[node]]\nid = 30\naddress = \"{}\"\n", address_text(1));
+    fs::write(&table, entry).expect("it can be written");
+    let wire = boards(&[0xFF, 0xFF]);
+    wire.hand(5, 0, true);
+    wire.hand(30, 1, true);
+    let outcome = wire.lss(&format!("assign --one-at-a-time --table {}", table.display()));
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    assert_eq!(nodes(&outcome.text), [verified(1, 0), verified(30, 1)]);
 }
 
 #[test]

@@ -98,7 +98,7 @@ fn of_several_new_boards_the_person_chooses_one() {
     let mut new = [0, 2];
     new.sort_by_key(|board| crate::emulated::address(*board).serial_number);
     let words = format!(
-        "{}\nnew and of the same product are {}: it is not clear which one takes over",
+        "{}\nnew and of the same product are {}: it is not clear which one takes over, and nothing",
         missing(5, 7),
         new.map(address_text).join(", ")
     );
@@ -119,24 +119,25 @@ fn of_several_new_boards_the_person_chooses_one() {
 #[test]
 fn of_several_missing_boards_the_person_chooses_one() {
     let boards = Boards::new(RATE, &[0xFF, 9]);
-    let text = format!("{}{}", two_known(), entry(6, 8));
+    let text = format!("{}{}{}", two_known(), entry(6, 8), entry(7, 6));
     let (outcome, path) = assign(&boards, "places.toml", &text, "--yes");
     assert_eq!(outcome.code, 1);
     let words = format!(
-        "{}\n{}\nnew and of the same product is {}: it is not clear which place it takes over",
+        "{}\n{}\n{}\nnew and of the same product is {}: it is not clear which place it takes over",
         missing(5, 7),
         missing(6, 8),
+        missing(7, 6),
         address_text(0)
     );
     assert!(outcome.error.starts_with(&words), "{}", outcome.error);
     assert_eq!((ids(&boards, 2), content(&path)), (vec![None, Some(9)], text.clone()));
 
-    // Not that of node 5; a number that is no choice is none.
-    boards.person.set(Some(&["0", "1"]));
+    // Not those of nodes 5 and 6; a number that is no choice is none.
+    boards.person.set(Some(&["0", "2", "1"]));
     let outcome = boards.lss(&format!("assign --table {}", path.display()));
-    assert_eq!((outcome.code, outcome.error), (1, missing(5, 7)));
-    assert_eq!(boards.stored(0), Some((6, 4)));
-    assert_eq!(content(&path), text.replace(&address_text(8), &address_text(0)));
+    assert_eq!((outcome.code, outcome.error), (1, [missing(5, 7), missing(6, 8)].join("\n")));
+    assert_eq!(boards.stored(0), Some((7, 4)));
+    assert_eq!(content(&path), text.replace(&address_text(6), &address_text(0)));
 }
 
 #[test]
