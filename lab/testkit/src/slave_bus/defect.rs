@@ -35,6 +35,10 @@ pub enum Defect {
     LosesAnswers(usize),
     /// Texts of the object 2101h:3 have a zero behind them.
     PadsTexts,
+    /// It refuses to tell its serial number by SDO.
+    HidesItsSerialNumber,
+    /// It says that it produces SYNC with the COB-ID 80h.
+    ProducesSync,
 }
 
 impl Defect {
@@ -48,6 +52,12 @@ impl Defect {
             }
             (Self::PadsTexts, cob_id, &[0x47, 0x01, 0x21, 3, a, b, c, d]) => {
                 Frame::new(cob_id, &[0x43, 0x01, 0x21, 3, a, b, c, d])
+            }
+            (Self::HidesItsSerialNumber, cob_id, [0x43, 0x18, 0x10, 4, ..]) => {
+                Frame::new(cob_id, &[0x80, 0x18, 0x10, 4, 0x11, 0, 9, 6])
+            }
+            (Self::ProducesSync, cob_id, [0x43, 5, 0x10, 0, 0x80, 0, 0, 0]) => {
+                Frame::new(cob_id, &[0x43, 5, 0x10, 0, 0x80, 0, 0, 0x40])
             }
             _ => Some(frame),
         }

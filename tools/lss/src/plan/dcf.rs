@@ -137,7 +137,8 @@ mod tests {
                 "[{index}]\nParameterName=A\nDataType=5\nAccessType=rw\nCompactSubObj={count}\n"
             )
         };
-        let text = object("2000", 2) + &object("2001", 0);
+        let tool = "[Tool]\nFileName=a\nLastEDS=b\n";
+        let text = object("2000", 2) + &object("2001", 0) + tool;
         let sheet = Sheet { eds: Eds::parse(&text), text, path: "io.eds".into() };
         let values =
             [((0x2000, 0), "2"), ((0x2000, 1), "5"), ((0x2000, 2), "6"), ((0x2001, 0), "7")];
@@ -145,6 +146,7 @@ mod tests {
         let written = content(&sheet, &values, "node_5.dcf", "");
         assert!(written.starts_with("[2000]\nParameterName"), "{written}");
         assert!(written.contains("[2001]\nParameterValue=7\n"), "{written}");
+        assert!(written.contains(tool), "{written}");
         let sections = written.matches("value]").count();
         assert!(written.contains("\n[2000value]\nNrOfEntries=2\n1=5\n2=6\n"), "{written}");
         assert_eq!(sections, 1, "{written}");

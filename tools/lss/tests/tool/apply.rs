@@ -141,13 +141,13 @@ fn a_plan_compares_values_before_a_board_gets_another_node_id() {
     let wire = Wire::new(RATE, &[5]);
     wire.set(0, 0x2101, 3, b"Ada");
     let values =
-        "\"2101:3\" = \"Eve\"\n\"1014\" = \"$NODEID+0x80\"\n\"1800:1\" = \"$NODEID+0x40000200\"";
+        "\"2101:3\" = \"Ade\"\n\"1014\" = \"$NODEID+0x80\"\n\"1800:1\" = \"$NODEID+0x40000200\"";
     let (outcome, writes) = wire.apply(&file("follows", &node_with(7, 0, values)), "--plan");
     assert_eq!((outcome.code, writes), (1, 0));
     let expected = format!(
         "~ node 7  {}\n    ~ node-ID: 5 -> 7\n\
          \x20   ~ 1800:1 TPDO communication parameter 1.COB-ID used by TPDO: 0x40000187 -> 0x40000207\n\
-         \x20   ~ 2101:3 Calibration of the temperature.Inspector: \"Ada\" -> \"Eve\"\nplan: ",
+         \x20   ~ 2101:3 Calibration of the temperature.Inspector: \"Ada\" -> \"Ade\"\nplan: ",
         address_text(0)
     );
     assert!(outcome.text.contains(&expected), "{}", outcome.text);
@@ -181,6 +181,8 @@ fn assign_exchanges_node_ids_as_apply_does() {
         let outcome = wire.lss(&format!("{command} {}", file.display()));
         assert_eq!(outcome.code, 0, "{command}: {}", outcome.error);
         assert_eq!(wire.ids(), [6, 5, 9].map(|id| (Some(id), Some(id))), "{command}");
+        // Nothing is told of the board that gives its node-ID up meanwhile.
+        assert!(!outcome.text.contains("no boot-up message"), "{command}: {}", outcome.text);
     }
 }
 
@@ -232,6 +234,30 @@ fn boards_that_share_a_node_id_get_their_own() {
     assert!((0..3).all(|board| wire.value(board, 0x2100, 0) == [6]));
     wire.record().may_collide = false;
     assert_done(&wire, &file);
+}
+
+#[test]
+fn values_wait_while_another_board_has_the_same_node_id() {
+    let wire = Wire::new(RATE, &[5, 5, 6]);
+    wire.record().may_collide = true;
+    let (outcome, _) =
+        wire.apply(&file("waits", &(node_with(5, 0, "\"2100\" = 6") + &node(6, 1))), "");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.contains("node 6: another board has node-ID 6"), "{}", outcome.error);
+    assert!((0..2).all(|board| wire.value(board, 0x2100, 0) != [6]));
+}
+
+#[test]
+fn a_node_that_does_not_tell_its_serial_number_is_found_by_lss() {
+    let wire = Wire::new(RATE, &[6, 7]);
+    for board in &mut wire.bus().slaves {
+        board.defect = Some(Defect::HidesItsSerialNumber);
+    }
+    let (outcome, _) = wire.apply(&file("hidden", &node(6, 0)), "");
+    assert_eq!(outcome.code, 0, "{}", outcome.error);
+    // The other one may be any board.
+    assert_eq!(outcome.text.matches("\n? ").count(), 1, "{}", outcome.text);
+    assert!(outcome.text.contains("\n? -  node-ID 7, not in the files"), "{}", outcome.text);
 }
 
 #[test]
@@ -354,7 +380,7 @@ fn the_bit_rate_stays_while_a_board_is_missing() {
 
 #[test]
 fn a_board_that_cannot_store_values_has_them_until_its_reset() {
-    let sheet = short_sheet("volatile-sheet", &["1017", "2100"]);
+    let sheet = short_sheet("volatile-sheet", &["1017", "1020", "2100"]);
     let file = file("cannot-store", &node_of(&sheet, 5, 0, "\"2100\" = 1"));
     let wire = Wire::new(RATE, &[0xFF]);
     let (outcome, _) = wire.apply(&file, "");
@@ -448,6 +474,32 @@ fn what_must_not_change_in_a_pdo_in_use_changes_while_it_is_off() {
 }
 
 #[test]
+fn a_cob_id_in_use_is_switched_off_before_it_changes() {
+    let sync = Some(Defect::ProducesSync);
+    for (index, found, defect, writes) in [
+        (0x1014, 0x8000_0085, None, &[0x91][..]),
+        (0x1014, 0x85, None, &[0x8000_0085, 0x91]),
+        (0x1005, 0x80, None, &[0x91]),
+        (0x1005, 0x80, sync, &[0x80, 0x91]),
+    ] {
+        let wire = Wire::new(RATE, &[5]);
+        wire.set(0, index, 0, &u32::to_le_bytes(found));
+        wire.bus().slaves[0].defect = defect;
+        let file = file("cob-id", &node_with(5, 0, &format!("\"{index:X}\" = 0x91")));
+        assert_eq!(wire.apply(&file, "").0.code, 0);
+        let [low, high] = u16::to_le_bytes(index);
+        let written = |frame: &canopen_node::Frame| match *frame.data() {
+            [0x23, a, b, 0, ref value @ ..] if [a, b] == [low, high] => {
+                value.first_chunk().copied().map(u32::from_le_bytes)
+            }
+            _ => None,
+        };
+        let written: Vec<u32> = wire.record().sent.iter().filter_map(written).collect();
+        assert_eq!(written, writes, "{index:X} {found:X}");
+    }
+}
+
+#[test]
 fn the_same_values_have_the_same_stamp_in_each_version() {
     let wire = Wire::new(RATE, &[5]);
     let file = file("stamp", &node_with(5, 0, "\"2100\" = 4"));
@@ -497,10 +549,15 @@ fn known_boards_without_a_node_id_are_not_scanned() {
     let unknown =
         format!("? {}  node-ID none, not in the files: it stays as it is\n", address_text(5));
     assert!(outcome.text.contains(&unknown), "{}", outcome.text);
-    let is_scan = |frame: &&canopen_node::Frame| frame.data().first() == Some(&0x51);
-    let scans = wire.record().sent.iter().filter(is_scan).count();
+    let numbers = |specifier: u8| -> Vec<usize> {
+        let is_it = |frame: &canopen_node::Frame| frame.data().first() == Some(&specifier);
+        let record = wire.record();
+        (0..record.sent.len()).filter(|number| is_it(&record.sent[*number])).collect()
+    };
+    let (scans, stores) = (numbers(0x51), numbers(0x17));
     // Each bit of the unknown one.
-    assert!((100..300).contains(&scans), "{scans}");
+    assert!((100..300).contains(&scans.len()), "{}", scans.len());
+    assert!(stores.last() < scans.first(), "{stores:?}");
     assert_done(&wire, &file);
 }
 

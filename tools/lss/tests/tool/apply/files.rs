@@ -85,6 +85,7 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
     ] {
         assert!(text.contains(line), "{line}");
     }
+    assert!(!text.contains("[1000]\nParameterValue"), "it can only be read");
     assert!(!text.contains("[2FF0sub1]\nParameterValue"), "LSS sets the node-ID");
     assert!(!text.contains("[1020sub1]\nParameterValue"), "the stamp is that of the files");
     // A DCF of a DCF is the same but for the name of its data sheet.

@@ -206,6 +206,28 @@ fn a_run_after_the_adapter_was_gone_at_any_write_of_a_switch_goes_on() {
 }
 
 #[test]
+fn boards_with_values_store_again_after_a_run_that_did_not_finish_and_no_others_do() {
+    let sheet = short_sheet("again", &["1010", "1020", "2100"]);
+    let text = node_of(&sheet, 5, 0, "\"2100\" = 4")
+        + &node_of(&sheet, 6, 1, "")
+        + &node_of(&sheet, 7, 2, "\"2100\" = 4");
+    let file = file("again", &text);
+    let wire = Wire::new(RATE, &[5, 6, 7]);
+    assert_eq!(wire.apply(&file, "").0.code, 0);
+    let stores = |stored: usize, written: usize| {
+        let (outcome, _) = wire.apply(&file, "--full");
+        assert_eq!(outcome.code, 0, "{}", outcome.error);
+        let counts = ["values stored\n", "1 value written and stored"];
+        let counts = counts.map(|words| outcome.text.matches(words).count());
+        assert_eq!(counts, [stored, written], "{}", outcome.text);
+    };
+    fs::write(file.with_file_name("network.toml.unfinished"), "").expect("it can be written");
+    stores(2, 0);
+    wire.set(2, 0x2100, 0, &[3]);
+    stores(0, 1);
+}
+
+#[test]
 fn a_board_that_vanishes_is_told_and_the_others_are_done() {
     let wire = Wire::new(RATE, &[0xFF, 0xFF]);
     let file = file("vanishes", &(node(5, 0) + &node(6, 1)));
