@@ -68,7 +68,7 @@ fn other_data_in_the_flash_is_erased_without_an_emergency() {
     let contents = [vec![0; 0x8000], (0..0x8000).map(|_| random.byte()).collect()];
     for content in contents {
         let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&content)]);
-        let log = rig.network.board(0).log();
+        let log = log::lines(rig.network.board(0));
         let what = "other data found, erased; using the defaults";
         assert!(log.iter().any(|line| line.level == "info" && line.text == what), "{log:#?}");
         assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);
@@ -85,7 +85,7 @@ fn the_log_after_the_first_flash_is_the_one_that_the_page_shows() {
     while board.now() < Time::from_s(2) {
         board.run_until(Time::from_s(2));
     }
-    let log = board.log().iter();
+    let log = log::lines(&board).into_iter();
     let logged: Vec<_> =
         log.map(|line| format!("{:<6}{}", line.level.to_uppercase(), line.text)).collect();
     let page = fs::read_to_string(workspace().join("docs/first-board.md")).expect("it is there");
@@ -101,7 +101,7 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
         let mut damaged = log.clone();
         damaged[..0x4000 / PLACE * PLACE].chunks_mut(PLACE).for_each(|place| place[byte] ^= 0x80);
         let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&damaged)]);
-        let log = rig.network.board(0).log();
+        let log = log::lines(rig.network.board(0));
         let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
         assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);
@@ -133,7 +133,7 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
     flash[PLACE * last + 28..][..12].fill(0xFF);
     let mut rig = ImageRig::new(BitRate::Kbit1000, [board_with_flash(&flash)]);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     let why = "a store was interrupted or its record is unknown; using the settings before it";
     assert!(log.iter().any(|line| line.level == "warn" && line.text == why), "{log:#?}");
 }

@@ -6,7 +6,7 @@ use emulator::chip::{Access, RAM_BASE, StartUp, Thresholds, Width};
 use crate::rig::*;
 
 fn says(board: &Board, text: &str) -> usize {
-    board.log().iter().filter(|line| line.text.starts_with(text)).count()
+    log::lines(board).iter().filter(|line| line.text.starts_with(text)).count()
 }
 
 fn run(board: &mut Board, until: Time) {
@@ -104,7 +104,7 @@ fn a_crystal_that_stops_is_logged_and_ends_in_a_reset_at_once() {
         rig.collect(Time::from_ms(20));
         assert_eq!(rig.lss("5E"), SILENCE);
         assert_eq!(rig.lss("04 01, 5E"), ["5E 40"]);
-        let log = rig.network.board(0).log();
+        let log = log::lines(rig.network.board(0));
         let says = says(rig.network.board(0), "reset because the crystal stopped");
         assert_eq!(says, 1, "{log:#?}");
     }

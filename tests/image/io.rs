@@ -671,7 +671,7 @@ fn fill_the_bus(mut rig: ImageRig, rpdo_cob_ids: &[u16], bursts: Range<u64>, mos
     assert_eq!((at_once.len() + waited.len(), by_sync), (ROUNDS, syncs));
     assert_eq!(echoes.last(), Some(&value));
     assert!(load > 97, "{load} %");
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     assert!(
         log.iter().all(|line| line.text.starts_with("node-ID") || line.time < from),
         "{log:#?}"

@@ -32,7 +32,7 @@ fn flash(rig: &ImageRig, change: impl FnOnce(&mut Flash)) {
 
 /// Whether the board has logged an error with this text.
 fn says(rig: &ImageRig, text: &str) -> bool {
-    let lines = rig.network.board(0).log();
+    let lines = log::lines(rig.network.board(0));
     lines.iter().any(|line| line.level == "error" && line.text.starts_with(text))
 }
 
@@ -50,7 +50,7 @@ fn assert_node_40_goes_on(rig: &mut ImageRig) {
 fn assert_refuses(rig: &mut ImageRig, why: &str) {
     rig.ask("17", "17 02");
     let line = format!("the settings were not stored, the old ones stay: {why}");
-    assert!(says(rig, &line), "{:#?}", rig.network.board(0).log());
+    assert!(says(rig, &line), "{:#?}", log::lines(rig.network.board(0)));
     assert_node_40_goes_on(rig);
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{why}");

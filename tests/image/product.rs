@@ -76,7 +76,7 @@ fn failed(brightness: u8, cause: ResetCause) -> ImageRig {
 /// The text of the log from the last line on that begins so.
 #[track_caller]
 fn logged(rig: &ImageRig, begin: &str) -> String {
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     let line = log.iter().find(|line| line.text.starts_with(begin));
     line.unwrap_or_else(|| panic!("no line begins with {begin}")).text.clone()
 }
@@ -105,7 +105,7 @@ fn a_stack_overflow_of_a_product_names_the_function_that_called() {
 fn the_log_names_the_silent_task_of_a_product() {
     let rig = failed(3, ResetCause::Watchdog);
     logged(&rig, "reset by the watchdog: a task did not run in time");
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     let silent: Vec<_> = log.iter().filter(|line| line.text.starts_with("silent: ")).collect();
     assert!(silent.len() == 1 && silent[0].text == "silent: Task::own(2)", "{silent:?}");
 }

@@ -45,7 +45,7 @@ fn messages_of_frames_lost_in_succession_leave_room_in_the_queue() {
     rig.collect(Time::from_ms(100));
     assert!(rig.has_logged("CAN: overrun, a received frame was lost"));
     let is_full = rig.has_logged("CAN: the transmit queue is full");
-    assert!(!is_full, "{:#?}", rig.network.board(0).log());
+    assert!(!is_full, "{:#?}", log::lines(rig.network.board(0)));
     assert!(answers(&mut rig));
 }
 

@@ -14,6 +14,7 @@ pub use testkit::{
     frames::{self, Frames, SILENCE},
     image::PART,
     image_rig::*,
+    log,
     random::{Random, every},
     sdo::{self, Client},
     settings::Stored,

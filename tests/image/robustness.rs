@@ -71,7 +71,7 @@ fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
     let panics = jump(handler, code("_defmt_release"));
     let time = replace_until_reset(&mut rig, handler, &panics, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     assert!(log.iter().any(|line| line.text.starts_with("hard fault at ")));
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
 }
@@ -185,7 +185,7 @@ fn the_same_session_has_the_same_trace_twice() {
         rig.nmt("01 00");
         rig.lss("15 32 00");
         rig.collect(Time::from_ms(300));
-        let logs: Vec<_> = rig.network.boards().iter().map(|b| b.log().to_vec()).collect();
+        let logs: Vec<_> = rig.network.boards().iter().map(log::lines).collect();
         let cycles: Vec<_> = rig.network.boards().iter().map(Board::cycles).collect();
         (rig.network.trace().to_vec(), logs, cycles)
     };

@@ -1,12 +1,10 @@
 //! A board: a microcontroller with firmware in its flash, a crystal, a supply switch and a debug probe.
 
-#[cfg(feature = "log")]
 mod log;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-#[cfg(feature = "log")]
-pub use log::LogLine;
+pub use log::Logged;
 
 use crate::{
     Time,
@@ -15,7 +13,6 @@ use crate::{
     engine::{Engine, Halt, Lockup, rsemu::Rsemu},
     image::Image,
 };
-#[cfg(feature = "log")]
 use log::Log;
 
 /// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
@@ -74,7 +71,6 @@ pub enum Stop {
 pub struct Board {
     chip: Arc<Mutex<Chip>>,
     engine: Box<dyn Engine>,
-    #[cfg(feature = "log")]
     log: Log,
     image: Image,
     controller: usize,
@@ -113,8 +109,7 @@ impl Board {
         let mut board = Self {
             chip,
             engine,
-            #[cfg(feature = "log")]
-            log: Log::new(image.clone()),
+            log: Log::new(image),
             image: image.clone(),
             controller,
             tolerates_unmodelled,
@@ -174,7 +169,6 @@ impl Board {
             let poll = Time::from_ps(awake.as_ps().saturating_add(LOG_POLL.as_ps()));
             let halt = self.engine.run(until.min(event).min(poll));
             let now = self.engine.now();
-            #[cfg(feature = "log")]
             self.log.poll(self.engine.as_mut());
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
@@ -219,7 +213,6 @@ impl Board {
     }
 
     fn start(&mut self, cause: ResetCause, now: Time) {
-        #[cfg(feature = "log")]
         self.log.restart(self.engine.as_mut());
         self.chip().reset(cause, now);
         let variant = self.chip().variant();
@@ -347,10 +340,9 @@ impl Board {
         &self.image
     }
 
-    /// The lines that the program has logged, across all resets.
-    #[cfg(feature = "log")]
-    pub fn log(&self) -> &[LogLine] {
-        self.log.lines()
+    /// What the program has logged, across all resets.
+    pub fn logged(&self) -> &[Logged] {
+        self.log.logged()
     }
 
     /// Every reset so far, the first power-on included.

@@ -1,9 +1,7 @@
-//! A firmware image: the flash content of an ELF file, its symbols, and its defmt table.
+//! A firmware image: the flash content of an ELF file, and its symbols.
 
 use std::{collections::HashMap, fmt, fs, io, path::Path, sync::Arc};
 
-#[cfg(feature = "log")]
-use defmt_decoder::Table;
 use object::{
     Object, ObjectSymbol,
     elf::{FileHeader32, PT_LOAD},
@@ -21,8 +19,7 @@ pub struct Image(Arc<Content>);
 struct Content {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: HashMap<String, u32>,
-    #[cfg(feature = "log")]
-    table: Option<Table>,
+    elf: Vec<u8>,
 }
 
 fn malformed(error: impl fmt::Display) -> io::Error {
@@ -45,7 +42,7 @@ impl Image {
     /// Parses the content of an ELF file.
     ///
     /// # Errors
-    /// It is not a 32-bit ELF file, or its defmt section has another format version.
+    /// It is not a 32-bit ELF file.
     pub fn from_elf(bytes: &[u8]) -> io::Result<Self> {
         let header = FileHeader32::<Endianness>::parse(bytes).map_err(malformed)?;
         let endian = header.endian().map_err(malformed)?;
@@ -63,22 +60,12 @@ impl Image {
             .symbols()
             .filter_map(|symbol| Some((symbol.name().ok()?.to_owned(), symbol.address() as u32)))
             .collect();
-        Ok(Self(Arc::new(Content {
-            segments,
-            symbols,
-            #[cfg(feature = "log")]
-            table: Table::parse(bytes).map_err(malformed)?,
-        })))
+        Ok(Self(Arc::new(Content { segments, symbols, elf: bytes.to_vec() })))
     }
 
     /// An image of the given bytes and addresses, without symbols.
     pub fn from_segments(segments: Vec<(u32, Vec<u8>)>) -> Self {
-        Self(Arc::new(Content {
-            segments,
-            symbols: HashMap::new(),
-            #[cfg(feature = "log")]
-            table: None,
-        }))
+        Self(Arc::new(Content { segments, symbols: HashMap::new(), elf: Vec::new() }))
     }
 
     /// The address and content of each segment.
@@ -101,10 +88,9 @@ impl Image {
         before.min().map(|(offset, name)| (name, offset))
     }
 
-    /// The defmt strings, if the program logs.
-    #[cfg(feature = "log")]
-    pub(crate) fn defmt_table(&self) -> Option<&Table> {
-        self.0.table.as_ref()
+    /// The ELF file; empty if it was made of segments.
+    pub fn elf(&self) -> &[u8] {
+        &self.0.elf
     }
 }
 

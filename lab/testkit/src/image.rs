@@ -133,10 +133,11 @@ pub(crate) fn build_loader(
 ) -> anyhow::Result<Vec<u8>> {
     let bin = format!("{package}-loader");
     build_bin(directory, [package, &bin], part, |command| {
-        // There is no room for a log. This package has that variable built in: a second one beside that of the program.
+        // There is no room for a log. The level is built into this package: another one of it, so that a build of the
+        // loader and one of the program do not undo each other.
         command.env("DEFMT_LOG", "off");
         command.args(["--config", "profile.release.package.defmt-macros.codegen-units=1"]);
-        // It has 32 KB. The program needs the packages of others too, so these stay as they are.
+        // It has 32 KB. The packages of others stay as they are, since the program needs them too.
         for of_loader in [package, "canopen-node", "canopen-stm32f4", "lss-slave", "program-update"]
         {
             for option in ["opt-level=\"z\"", "overflow-checks=false"] {

@@ -11,6 +11,8 @@ use emulator::{
 };
 use lss_master::{Master, Procedure};
 
+#[cfg(feature = "log")]
+use super::log;
 use super::{
     flash::BoardFlash,
     frames::{self, Frames},
@@ -329,13 +331,13 @@ impl ImageRig {
     /// Whether a line of the first board's log begins with `text`.
     #[cfg(feature = "log")]
     pub fn has_logged(&self, text: &str) -> bool {
-        self.network.board(0).log().iter().any(|line| line.text.starts_with(text))
+        log::lines(self.network.board(0)).iter().any(|line| line.text.starts_with(text))
     }
 
     #[cfg(feature = "log")]
     fn print_logs(&self) {
         for (number, board) in self.network.boards().iter().enumerate() {
-            for line in board.log() {
+            for line in log::lines(board) {
                 eprintln!("board {number}, {} ms: {} {}", line.time, line.level, line.text);
             }
         }

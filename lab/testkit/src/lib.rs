@@ -20,6 +20,8 @@ pub mod image;
 pub mod image_rig;
 #[cfg(feature = "image")]
 pub mod io_board;
+#[cfg(feature = "log")]
+pub mod log;
 #[cfg(feature = "image")]
 pub mod lss_session;
 pub mod node_rig;

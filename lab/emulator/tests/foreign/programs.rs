@@ -7,6 +7,7 @@ use emulator::{
     chip::{Part, Pin},
     network::{AdapterId, Network, Recording},
 };
+use testkit::log;
 
 use crate::rig::{Driver, Rig, adapter, explained, image, standard};
 
@@ -32,7 +33,7 @@ pub fn its_log_is_read_and_its_led_blinks_every_millisecond(driver: Driver) {
     };
     let blinks = changes(&mut rig.network, pin);
     assert!((19..=21).contains(&blinks), "{blinks}");
-    let log = rig.network.board(0).log();
+    let log = log::lines(rig.network.board(0));
     assert!(log.iter().any(|line| (line.level, line.text.as_str()) == ("info", text)), "{log:?}");
 }
 
@@ -51,7 +52,10 @@ fn a_program_starts_that_uses_what_a_hal_offers() {
     assert_eq!((frame.id, frame.dlc), (Id::Standard(0x123), 8));
     assert_ne!(frame.data, [0; 8], "random");
     let board = network.board(0);
-    assert_eq!(board.log().last().map(|line| line.text.as_str()), Some("1 ms is 168000 cycles"));
+    assert_eq!(
+        log::lines(board).last().map(|line| line.text.as_str()),
+        Some("1 ms is 168000 cycles")
+    );
     assert_eq!(board.chip().take_sent()[1], b"hello\r\n");
     let unexplained: Vec<String> = board
         .findings()
@@ -101,5 +105,5 @@ fn a_gateway_passes_frames_by_its_filters_between_can1_and_can2() {
     }
     let board = network.board(board);
     assert_eq!(board.findings(), []);
-    assert!(board.log().iter().any(|line| line.text == "the gateway is ready"));
+    assert!(log::lines(board).iter().any(|line| line.text == "the gateway is ready"));
 }

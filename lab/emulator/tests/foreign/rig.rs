@@ -11,6 +11,7 @@ use emulator::{
     image::Image,
     network::{AdapterId, Network, Recording},
 };
+use testkit::log;
 
 use crate::command::*;
 
@@ -177,7 +178,7 @@ impl Rig {
                     "{what} never came: pc {:08x}, {:?}, {:#?}, {:#?}",
                     board.pc(),
                     board.lockup(),
-                    board.log(),
+                    log::lines(board),
                     board.findings()
                 );
             }

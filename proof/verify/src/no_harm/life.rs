@@ -16,6 +16,7 @@ use super::situation::{
 use testkit::{
     boards::Variant,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
+    log::{self, LogLine},
     random::Random,
     settings::Stored,
     wire::{bit_per_s, on_the_wire},
@@ -453,10 +454,10 @@ impl<'a> Life<'a> {
     /// The boards' logs, in lines.
     pub fn log(&self) -> impl Iterator<Item = String> {
         self.network.boards().iter().enumerate().flat_map(|(number, board)| {
-            let line = move |line: &board::LogLine| {
+            let line = move |line: LogLine| {
                 format!("board {number}, {} ms: {} {}", line.time, line.level, line.text)
             };
-            board.log().iter().map(line)
+            log::lines(board).into_iter().map(line)
         })
     }
 }

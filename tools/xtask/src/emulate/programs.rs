@@ -15,6 +15,7 @@ use emulator::{
 };
 use testkit::{
     boards,
+    log::{Decoder, LogLine},
     unmodelled::{self, function_at},
 };
 
@@ -31,8 +32,7 @@ struct Program {
     name: String,
     part: Part,
     image: Image,
-    /// The number of log lines that were printed.
-    printed: usize,
+    log: Decoder,
     /// The bytes of each USART since its last end of line.
     serial: Vec<Vec<u8>>,
 }
@@ -58,7 +58,7 @@ impl Programs {
             let mut board = Board::new(part, &image, settings);
             memory.restore(&mut board, &image, number, None)?;
             network.add_board(board);
-            loaded.0.push(Program::new(number, path, part, image));
+            loaded.0.push(Program::new(number, path, part, image)?);
         }
         Ok(loaded)
     }
@@ -118,18 +118,19 @@ fn check(image: &Image, part: Part) -> anyhow::Result<()> {
 }
 
 impl Program {
-    fn new(number: usize, path: &Path, part: Part, image: Image) -> Self {
+    fn new(number: usize, path: &Path, part: Part, image: Image) -> anyhow::Result<Self> {
         let name = path.file_name().map_or_else(String::new, |name| name.display().to_string());
-        Self { number, name, part, image, printed: 0, serial: Vec::new() }
+        let log = Decoder::new(&image)
+            .with_context(|| format!("the log of {} cannot be read", path.display()))?;
+        Ok(Self { number, name, part, image, log, serial: Vec::new() })
     }
 
     fn new_lines(&mut self, board: &Board) -> Vec<String> {
-        let mut lines = Vec::new();
-        let log = board.log();
-        for line in &log[self.printed..] {
-            lines.push(format!("{:>14}  {}: {:5} {}", line.time, self.name, line.level, line.text));
-        }
-        self.printed = log.len();
+        let log = self.log.new_lines(board);
+        let text = |line: LogLine| {
+            format!("{:>14}  {}: {:5} {}", line.time, self.name, line.level, line.text)
+        };
+        let mut lines: Vec<_> = log.into_iter().map(text).collect();
         let sent = board.chip().take_sent();
         self.serial.resize(sent.len(), Vec::new());
         for (number, (serial, sent)) in (1..).zip(self.serial.iter_mut().zip(sent)) {
@@ -204,7 +205,8 @@ mod tests {
 
     fn report_on(image: Image) -> String {
         let mut network = Network::new();
-        let program = Program::new(0, Path::new("dir/a.elf"), PART, image.clone());
+        let program =
+            Program::new(0, Path::new("dir/a.elf"), PART, image.clone()).expect("it has no log");
         let mut programs = Programs(vec![program]);
         network.add_board(boards::board(PART, &image, 0));
         network.run_for(Time::from_ms(5));
