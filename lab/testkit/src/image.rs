@@ -125,6 +125,7 @@ pub(crate) fn build_with(
 }
 
 /// Builds the loader of a product in `directory`, which has the name of its package, and returns the ELF file.
+#[cfg(feature = "products")]
 pub(crate) fn build_loader(
     directory: &Path,
     package: &str,

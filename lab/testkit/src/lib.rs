@@ -28,7 +28,7 @@ pub mod node_rig;
 #[cfg(feature = "image")]
 pub mod parallel;
 pub mod power_cut;
-#[cfg(feature = "image")]
+#[cfg(feature = "products")]
 pub mod product;
 pub mod random;
 pub mod sdo;
@@ -44,7 +44,7 @@ pub mod storm;
 pub mod supervised;
 #[cfg(feature = "image")]
 pub mod unmodelled;
-#[cfg(feature = "image")]
+#[cfg(feature = "products")]
 pub mod update;
 #[cfg(feature = "image")]
 pub mod wire;
