@@ -10,7 +10,6 @@ pub mod elf;
 pub mod emulated;
 #[cfg(feature = "image")]
 pub mod explain;
-pub mod flash;
 pub mod frames;
 #[cfg(feature = "image")]
 pub mod hex;
@@ -30,7 +29,6 @@ pub mod parallel;
 pub mod power_cut;
 #[cfg(feature = "products")]
 pub mod product;
-pub mod random;
 pub mod sdo;
 pub mod sdo_messages;
 #[cfg(feature = "image")]
@@ -48,3 +46,5 @@ pub mod unmodelled;
 pub mod update;
 #[cfg(feature = "image")]
 pub mod wire;
+
+pub use memory_flash::{self as flash, random};

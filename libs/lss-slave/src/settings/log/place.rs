@@ -101,8 +101,12 @@ pub fn is_blank<F: Layout>(flash: &mut F, at: u32) -> Result<bool, Error> {
     let mut place = [0; len(MOST_UNIT) as usize];
     let place = place.get_mut(..F::PLACE as usize).unwrap_or_default();
     read(flash, at, place)?;
-    // By words: a start asks this of every place.
-    Ok(place.chunks_exact(4).all(|word| word == [0xFF; 4]))
+    Ok(reads_blank(place))
+}
+
+/// Whether these words are blank. By words: a start asks this of every place.
+fn reads_blank(place: &[u8]) -> bool {
+    place.chunks_exact(4).all(|word| word == [0xFF; 4])
 }
 
 /// Begins a place that reads blank.

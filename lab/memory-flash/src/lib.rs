@@ -4,14 +4,18 @@
 //! A unit whose programming was interrupted or failed, and each unit of a sector whose erase was, is torn: it reads as
 //! blank, as written, as anything or as an error, differently each time. If it is programmed once more, that is refused
 //! or completes the same content.
+//!
+//! A crate of its own, which is built with optimisation: tests spend their time here. So nothing in [`Chip`] is generic.
 
-use std::{cell::RefCell, rc::Rc};
+pub mod random;
+
+use std::{cell::RefCell, ops::Range, rc::Rc};
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 
-use super::random::Random;
+use random::Random;
 
 /// Two sectors of 16 KB, written a word at a time, as on the board.
 pub type BoardFlash = Flash<4, 0x4000>;
@@ -44,6 +48,10 @@ pub enum Left {
 #[derive(Clone)]
 struct Chip {
     bytes: Vec<u8>,
+    /// The length of a program unit.
+    unit: usize,
+    /// The length of a sector.
+    sector: usize,
     /// The units that were programmed since their erase.
     programmed: Vec<bool>,
     /// The addresses of the units whose programming was interrupted.
@@ -81,38 +89,12 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 
     /// The length of `bytes` is that of all sectors.
     pub fn with_content(bytes: Vec<u8>, seed: u64) -> Self {
-        assert!(bytes.len().is_multiple_of(2 * ERASE));
-        let units = bytes.chunks(WRITE);
-        Self(Rc::new(RefCell::new(Chip {
-            programmed: units.map(|unit| unit.iter().any(|&byte| byte != 0xFF)).collect(),
-            torn: Vec::new(),
-            half_erased: vec![false; bytes.len() / ERASE],
-            power_on: seed,
-            bytes,
-            stuck: Vec::new(),
-            random: Random::from_seed(seed),
-            powered: true,
-            steps_until_cut: None,
-            fault: None,
-            left: None,
-            has_failed: false,
-            writes: 0,
-            erases: 0,
-        })))
+        Self(Rc::new(RefCell::new(Chip::new(bytes, WRITE, ERASE, seed))))
     }
 
     /// A copy of the chip with the same cells, powered on.
     pub fn duplicate(&self, seed: u64) -> Self {
-        let duplicate = Self::with_content(self.content(), seed);
-        {
-            let (old, mut new) = (self.0.borrow(), duplicate.0.borrow_mut());
-            new.programmed.clone_from(&old.programmed);
-            new.torn.clone_from(&old.torn);
-            new.half_erased.clone_from(&old.half_erased);
-            new.stuck.clone_from(&old.stuck);
-            new.flip();
-        }
-        duplicate
+        Self(Rc::new(RefCell::new(self.0.borrow().duplicate(seed))))
     }
 
     pub fn content(&self) -> Vec<u8> {
@@ -202,6 +184,42 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
 }
 
 impl Chip {
+    fn new(bytes: Vec<u8>, unit: usize, sector: usize, seed: u64) -> Self {
+        assert!(bytes.len().is_multiple_of(2 * sector));
+        let is_programmed = |unit: &[u8]| unit.iter().any(|&byte| byte != 0xFF);
+        Self {
+            programmed: bytes.chunks(unit).map(is_programmed).collect(),
+            torn: Vec::new(),
+            half_erased: vec![false; bytes.len() / sector],
+            power_on: seed,
+            bytes,
+            unit,
+            sector,
+            stuck: Vec::new(),
+            random: Random::from_seed(seed),
+            powered: true,
+            steps_until_cut: None,
+            fault: None,
+            left: None,
+            has_failed: false,
+            writes: 0,
+            erases: 0,
+        }
+    }
+
+    fn duplicate(&self, seed: u64) -> Self {
+        let mut duplicate = Self {
+            bytes: self.bytes.clone(),
+            programmed: self.programmed.clone(),
+            torn: self.torn.clone(),
+            half_erased: self.half_erased.clone(),
+            stuck: self.stuck.clone(),
+            ..Self::new(Vec::new(), self.unit, self.sector, seed)
+        };
+        duplicate.flip();
+        duplicate
+    }
+
     fn byte(&self, at: usize) -> u8 {
         self.stuck.iter().filter(|stuck| stuck.0 == at).fold(self.bytes[at], |byte, stuck| {
             if stuck.2 { byte | stuck.1 } else { byte & !stuck.1 }
@@ -233,13 +251,45 @@ impl Chip {
         self.powered
     }
 
-    fn sector_len(&self) -> usize {
-        self.bytes.len() / self.half_erased.len()
+    fn read(&mut self, at: usize, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        if !self.powered || !self.succeeds(Operation::Read) {
+            return Err(NorFlashErrorKind::Other);
+        }
+        bytes.copy_from_slice(&self.bytes[at..at + bytes.len()]);
+        if !self.torn.is_empty() || self.half_erased.contains(&true) {
+            for (at, unit) in (at..).step_by(self.unit).zip(bytes.chunks_mut(self.unit)) {
+                self.tear(at, unit)?;
+            }
+        }
+        if !self.stuck.is_empty() {
+            bytes.iter_mut().zip(at..).for_each(|(byte, at)| *byte = self.byte(at));
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, at: usize, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        for (at, unit) in (at..).step_by(self.unit).zip(bytes.chunks(self.unit)) {
+            if !self.powered {
+                return Err(NorFlashErrorKind::Other);
+            }
+            self.program(at, unit)?;
+        }
+        Ok(())
+    }
+
+    fn erase(&mut self, sectors: Range<usize>) -> Result<(), NorFlashErrorKind> {
+        for at in sectors.step_by(self.sector) {
+            if !self.powered {
+                return Err(NorFlashErrorKind::Other);
+            }
+            self.erase_sector(at)?;
+        }
+        Ok(())
     }
 
     fn program(&mut self, at: usize, unit: &[u8]) -> Result<(), NorFlashErrorKind> {
         let place = at..at + unit.len();
-        let sector = at / self.sector_len();
+        let sector = at / self.sector;
         let programmed = &mut self.programmed[at / unit.len()];
         // Where the power was cut in the first unit of a place.
         let was_torn = self.torn.contains(&at) && self.bytes[place.clone()] == *unit;
@@ -279,7 +329,7 @@ impl Chip {
     /// What a unit reads as this time. From one power-on to the next all of a sector whose erase was interrupted may
     /// read the same, and so may a torn unit.
     fn tear(&mut self, at: usize, unit: &mut [u8]) -> Result<(), NorFlashErrorKind> {
-        let sector = at / self.sector_len();
+        let sector = at / self.sector;
         let torn = if self.half_erased[sector] {
             sector
         } else if self.torn.contains(&at) {
@@ -311,15 +361,15 @@ impl Chip {
         self.power_on = self.random.u64();
     }
 
-    fn erase_sector(&mut self, at: usize, len: usize) -> Result<(), NorFlashErrorKind> {
+    fn erase_sector(&mut self, at: usize) -> Result<(), NorFlashErrorKind> {
         self.erases += 1;
-        let unit_len = self.bytes.len() / self.programmed.len();
-        self.programmed[at / unit_len..(at + len) / unit_len].fill(false);
-        self.torn.retain(|torn| !(at..at + len).contains(torn));
+        let place = at..at + self.sector;
+        self.programmed[place.start / self.unit..place.end / self.unit].fill(false);
+        self.torn.retain(|torn| !place.contains(torn));
         let succeeds = self.succeeds(Operation::Erase);
-        self.half_erased[at / len] = !succeeds;
+        self.half_erased[at / self.sector] = !succeeds;
         if succeeds {
-            self.bytes[at..at + len].fill(0xFF);
+            self.bytes[place].fill(0xFF);
             return Ok(());
         }
         Err(NorFlashErrorKind::Other)
@@ -335,21 +385,7 @@ impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         check_read(self, offset, bytes.len()).expect("the log reads inside of the flash");
-        let mut chip = self.0.borrow_mut();
-        if !chip.powered || !chip.succeeds(Operation::Read) {
-            return Err(NorFlashErrorKind::Other);
-        }
-        let at = offset as usize;
-        bytes.copy_from_slice(&chip.bytes[at..at + bytes.len()]);
-        if !chip.torn.is_empty() || chip.half_erased.contains(&true) {
-            for (at, unit) in (at..).step_by(WRITE).zip(bytes.chunks_mut(WRITE)) {
-                chip.tear(at, unit)?;
-            }
-        }
-        if !chip.stuck.is_empty() {
-            bytes.iter_mut().zip(at..).for_each(|(byte, at)| *byte = chip.byte(at));
-        }
-        Ok(())
+        self.0.borrow_mut().read(offset as usize, bytes)
     }
 
     fn capacity(&self) -> usize {
@@ -363,25 +399,11 @@ impl<const WRITE: usize, const ERASE: usize> NorFlash for Flash<WRITE, ERASE> {
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         check_erase(self, from, to).expect("the log erases whole sectors of the flash");
-        let mut chip = self.0.borrow_mut();
-        for at in (from as usize..to as usize).step_by(ERASE) {
-            if !chip.powered {
-                return Err(NorFlashErrorKind::Other);
-            }
-            chip.erase_sector(at, ERASE)?;
-        }
-        Ok(())
+        self.0.borrow_mut().erase(from as usize..to as usize)
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         check_write(self, offset, bytes.len()).expect("the log writes whole units of the flash");
-        let mut chip = self.0.borrow_mut();
-        for (at, unit) in (offset as usize..).step_by(WRITE).zip(bytes.chunks(WRITE)) {
-            if !chip.powered {
-                return Err(NorFlashErrorKind::Other);
-            }
-            chip.program(at, unit)?;
-        }
-        Ok(())
+        self.0.borrow_mut().write(offset as usize, bytes)
     }
 }
