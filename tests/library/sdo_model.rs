@@ -549,18 +549,18 @@ fn the_server_and_its_second_description_agree_about_random_messages() {
     let mut transfers = [0; 5];
     for n in 0..MESSAGES {
         let message = model.next_message(&mut random);
-        let before = format!("{:02X?}", model.transfer);
+        let before = model.transfer.clone();
         assert_eq!(
             send(&mut board, message),
             model.handle(message),
-            "{n}: {message:02X?} in {before}"
+            "{n}: {message:02X?} in {before:02X?}"
         );
         if random.one_in(50) {
             let ms = random.pick(&[200, 760, 990, 1_000, 5_000]);
             assert_eq!(
                 messages(&board.pass_ms(ms)),
                 model.be_silent(ms),
-                "{n}: {ms} ms of silence after {before}"
+                "{n}: {ms} ms of silence after {before:02X?}"
             );
         }
         if random.one_in(200) {

@@ -71,9 +71,11 @@ pub fn segment(command: u8, data: &[u8]) -> [u8; 8] {
 /// The CRC of block transfer, bit by bit (CiA 301, 7.2.4.3.16).
 pub fn crc(data: &[u8]) -> u16 {
     let mut crc = 0;
-    for bit in data.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1)) {
-        let is_odd = (crc >> 15) as u8 ^ bit == 1;
-        crc = crc << 1 ^ if is_odd { 0x1021 } else { 0 };
+    for byte in data {
+        crc ^= u16::from(*byte) << 8;
+        for _ in 0..8 {
+            crc = crc << 1 ^ if crc >> 15 == 1 { 0x1021 } else { 0 };
+        }
     }
     crc
 }

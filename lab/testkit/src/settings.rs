@@ -78,8 +78,11 @@ pub fn record(sequence: u32, kind: u8, node_id: u8, index: u8) -> [u8; 32] {
 /// A record with this content, its CRC and the commit word.
 pub fn sealed(mut bytes: [u8; 32]) -> [u8; 32] {
     let mut crc = u32::MAX;
-    for bit in bytes[..24].iter().flat_map(|byte| (0..8).map(move |i| u32::from(byte >> i & 1))) {
-        crc = crc >> 1 ^ if (crc ^ bit) & 1 == 1 { 0xEDB8_8320 } else { 0 };
+    for byte in &bytes[..24] {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = crc >> 1 ^ if crc & 1 == 1 { 0xEDB8_8320 } else { 0 };
+        }
     }
     bytes[24..28].copy_from_slice(&(!crc).to_le_bytes());
     bytes[28..].copy_from_slice(b"LSS1");

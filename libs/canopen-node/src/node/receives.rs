@@ -44,7 +44,10 @@ impl<N: Numbers> Receives<N> {
 
 impl<N: Numbers> PartialEq for Receives<N> {
     fn eq(&self, other: &Self) -> bool {
-        self.all == other.all && self.iter().eq(other.iter())
+        self.all == other.all
+            && self.services == other.services
+            && self.rpdos.as_ref() == other.rpdos.as_ref()
+            && self.heartbeats.as_ref() == other.heartbeats.as_ref()
     }
 }
 
