@@ -11,6 +11,7 @@ use testkit::{
 
 use crate::sdo_machine::{CONSTANT, Machine, board};
 
+/// The number of messages, of which a run that is not a campaign sends a fifth.
 const MESSAGES: usize = 200_000;
 /// The longest string of the machine.
 const LONGEST: usize = 40;
