@@ -6,7 +6,7 @@ use canopen_node::settings::{
 };
 use testkit::{
     flash::Flash,
-    random::Random,
+    random::{Random, every},
     settings::{Content, open, open_with_parameters, parameters as packed, place, settings},
 };
 
@@ -204,7 +204,7 @@ fn firmware_without_parameters_finds_the_settings_of_any_store() {
 #[test]
 fn with_any_flash_content_a_start_ends_and_what_is_stored_then_is_found() {
     let mut random = Random::from_environment();
-    for _ in 0..3_000 {
+    for _ in 0..3_000 / every(3) {
         let (mut log, flash) = with_content_1();
         store(&mut log, &content(2)).unwrap();
         let mut bytes = flash.content();

@@ -7,7 +7,7 @@ use canopen_node::{
 use testkit::{
     flash::{BoardFlash, Flash},
     power_cut::{EachKind, store, with_each_kind},
-    random::Random,
+    random::{Random, every},
     settings::{
         flash_with, open, open_with_parameters, parameters as packed, place, record, sealed,
         settings,
@@ -388,7 +388,7 @@ fn any_content<const E: usize>(random: &mut Random) -> Vec<u8> {
 #[test]
 fn with_any_flash_content_open_ends_and_settings_stored_then_are_found() {
     let mut random = Random::from_environment();
-    for _ in 0..5_000 {
+    for _ in 0..5_000 / every(5) {
         let flash = Flash::<4, 640>::with_content(any_content::<640>(&mut random), random.u64());
         let (mut log, found) = Log::open(flash.clone());
         assert!(!matches!(found, Found::MediumFailed(_)));

@@ -16,8 +16,8 @@ use testkit::{
     settings::{open, open_with_parameters, parameters, settings},
 };
 
-/// The longest parameters, which take two places.
-const WITH_PARAMETERS: usize = 40;
+/// Room for parameters of three places, as in `settings_faults.rs`; those here take one or two.
+const WITH_PARAMETERS: usize = 66;
 
 #[test]
 fn two_cuts_in_any_steps_lose_nothing_with_any_unit() {
