@@ -230,7 +230,7 @@ fn the_margin_shrinks_to_what_the_slaves_need() {
     let slowest = master.slowest_answer().expect("they have answered");
     println!("{ms} ms, the slowest answer {slowest} us");
     assert_commissioned(&mut bus, &found);
-    assert!(ms < 1_600, "with a margin of 10 ms it is 20 s");
+    assert!(ms < 1_600, "with a margin of 10 ms it is 7 s");
     assert!((200..1_000).contains(&slowest), "two frames, behind which some wait");
 }
 
