@@ -110,8 +110,8 @@ impl Report {
     /// The counts in words.
     fn counts(&self) -> String {
         let (passed, failed, skipped) = (self.passed(), self.failed(), self.skipped());
-        let all = self.findings.len();
-        format!("{all} cases, {passed} passed, {failed} failed, {skipped} skipped")
+        let (all, plural) = (self.findings.len(), if self.findings.len() == 1 { "" } else { "s" });
+        format!("{all} case{plural}, {passed} passed, {failed} failed, {skipped} skipped")
     }
 
     /// The device and the counts in one line.
@@ -231,6 +231,8 @@ mod tests {
             ],
         };
         assert_eq!(report.summary(), "x: 3 cases, 1 passed, 1 failed, 1 skipped");
+        let one = Report { device: "x".into(), findings: vec![finding(Outcome::Passed)] };
+        assert_eq!(one.summary(), "x: 1 case, 1 passed, 0 failed, 0 skipped");
         let reports = [report];
         let (page, xml) = (html(&reports), junit(&reports));
         assert!(page.contains("Expected: a &lt; b") && page.contains("A &amp; B"), "{page}");

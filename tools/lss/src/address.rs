@@ -1,4 +1,4 @@
-//! LSS addresses and numbers as a person writes them.
+//! LSS addresses and numbers as a person writes them, and as texts name them.
 
 use std::ops::RangeInclusive;
 
@@ -18,6 +18,12 @@ pub fn parts(numbers: &[u32]) -> String {
 /// A node-ID in words.
 pub fn id_text(id: Option<NodeId>) -> String {
     id.map_or_else(|| "none".to_owned(), |id| id.get().to_string())
+}
+
+/// `1 board`, `2 boards`.
+pub fn counted(count: usize, what: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {what}{plural}")
 }
 
 /// An LSS address as [`text`] writes it.
@@ -101,6 +107,12 @@ mod tests {
         for wrong in ["", "1:2:3", "1:2:3:4:5", "1:2:3:x"] {
             assert!(address(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn only_one_thing_has_no_plural() {
+        let texts = [0, 1, 2].map(|count| counted(count, "board"));
+        assert_eq!(texts, ["0 boards", "1 board", "2 boards"]);
     }
 
     #[test]

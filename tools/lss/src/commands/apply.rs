@@ -5,13 +5,13 @@ use std::{fs, path::Path};
 use canopen_node::{BitRate, NodeId};
 
 use crate::{
-    address,
+    address::{self, counted},
     arguments::Apply,
     commands::set_rate,
     failure::Failure,
     plan::{
         dcf,
-        differences::{Plan, counted, print_unknown},
+        differences::{Plan, print_unknown},
         files::Files,
         found::{self, Found, Place},
         node_ids::{Fate, NodeIds},

@@ -10,7 +10,7 @@ use canopen_node::{
 use lss_master::{Find, Identify, InquireAddress, InquireNodeId, SelectAlone};
 
 use crate::{
-    address::{self, Assigned, Which, id_text},
+    address::{self, Assigned, Which, counted, id_text},
     arguments::{Ranges, Target},
     failure::Failure,
     network::{
@@ -190,7 +190,7 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
     }
     let mut count = 0;
     loop {
-        session.progress.say(|| format!("{count} boards found"));
+        session.progress.say(|| format!("{} found", counted(count, "board")));
         let Some(found) = session.carry_out(Find::new(within.clone()))? else { return Ok(()) };
         writeln!(session.out, "{}", address::text(&found))?;
         count += 1;

@@ -5,7 +5,7 @@ use std::{collections::BTreeSet, time::Duration};
 use canopen_node::lss::Request;
 
 use crate::{
-    address,
+    address::{self, counted},
     failure::Failure,
     network::{nodes, rows, scan},
     session::{GLANCE, Session},
@@ -78,7 +78,7 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
         return Err(Failure::Refused(problems.join("\n")));
     }
     let rate = session.bus.rate();
-    writeln!(session.out, "all {} boards came back after power, at {rate}", ids.len())?;
+    writeln!(session.out, "{} came back after power, at {rate}", counted(ids.len(), "board"))?;
     Ok(())
 }
 
@@ -88,9 +88,8 @@ fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, F
     let mut until = session.bus.time() + HANDS;
     while !absent.is_empty() && session.bus.time() < until {
         let back = ids.len() - absent.len();
-        session
-            .progress
-            .say(|| format!("waiting for the power: {back} of {} boards are back", ids.len()));
+        let all = counted(ids.len(), "board");
+        session.progress.say(|| format!("waiting for the power: {back} of {all} back"));
         let received = session.bus.receive(until.min(session.bus.time() + GLANCE))?;
         let booted = received.and_then(|received| nodes::booted(&received.frame));
         if booted.is_some_and(|id| absent.remove(&id)) {

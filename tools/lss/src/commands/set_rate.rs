@@ -8,7 +8,7 @@ use canopen_node::{
 use lss_master::{Member, SelectAlone, SwitchBitRate};
 
 use crate::{
-    address,
+    address::{self, counted},
     failure::{self, Failure},
     network::rows,
     session::Session,
@@ -25,7 +25,7 @@ pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result
     }
     let members = plan(session)?;
     session.progress.clear();
-    writeln!(session.out, "plan: {} boards from {from} to {to}", members.len())?;
+    writeln!(session.out, "plan: {} from {from} to {to}", counted(members.len(), "board"))?;
     session.bus.check_interrupt()?;
     // Halfway the boards could not be found again: neither Ctrl-C nor another master ends the switch.
     session.bus.hold_interrupt(true);
@@ -104,8 +104,8 @@ impl Switch {
                 Ok(()) => {}
             }
         }
-        let count = self.members.len();
-        writeln!(session.out, "all {count} boards answer at {to} and have stored it")?;
+        let boards = counted(self.members.len(), "board");
+        writeln!(session.out, "{boards} answered at {to} and stored it")?;
         Ok(())
     }
 
@@ -137,8 +137,8 @@ impl Switch {
                 Err(_) => missing.push(address::text(address)),
             }
         }
-        let there = self.members.len() - missing.len();
-        let mut words = format!("{why}. Nothing is stored; {there} boards are at {from} again");
+        let boards = counted(self.members.len() - missing.len(), "board");
+        let mut words = format!("{why}. Nothing is stored; at {from} again: {boards}");
         if !missing.is_empty() {
             words += &format!(", missing: {}", missing.join(", "));
         }

@@ -4,7 +4,7 @@ use can_bus::explain;
 use canopen_node::lss::{Address, AddressPart, FastscanStep, Request};
 use lss_master::{Outcome, Procedure, Step};
 
-use crate::{failure::Failure, session::Session};
+use crate::{address::counted, failure::Failure, session::Session};
 
 /// The bit check that begins a Fastscan.
 const BEGIN: u8 = 0x80;
@@ -168,9 +168,9 @@ impl Scan<'_, '_> {
         known: usize,
         numbers: &mut Vec<u32>,
     ) -> Result<(), Failure> {
-        let count = known + numbers.len();
+        let boards = counted(known + numbers.len(), "board");
         let part_name = explain::part(part);
-        self.session.progress.say(|| format!("Fastscan: {count} boards so far, {part_name}"));
+        self.session.progress.say(|| format!("Fastscan: {boards} so far, {part_name}"));
         for number in [number, number | 1 << bit] {
             if !self.ask(number, bit, [part as u8; 2], self.caution)? {
                 continue;

@@ -10,7 +10,7 @@ use super::{
     values::{Change, Values},
 };
 use crate::{
-    address::{self, id_text},
+    address::{self, counted, id_text},
     failure::Failure,
     network::rows::Row,
     session::Session,
@@ -99,7 +99,7 @@ impl Plan {
     /// `2 of 3 boards`.
     pub fn count(&self) -> String {
         let changed = self.nodes.iter().filter(|node| node.differs).count();
-        format!("{changed} of {} boards", self.nodes.len())
+        format!("{changed} of {}", counted(self.nodes.len(), "board"))
     }
 
     pub fn print_json(&self, session: &mut Session<'_>) -> Result<(), Failure> {
@@ -148,12 +148,6 @@ pub fn print_unknown(out: &mut dyn std::io::Write, row: &Row) -> std::io::Result
     let address = row.lss_address.as_ref().map_or("-".into(), address::text);
     let id = id_text(row.node_id.and_then(NodeId::new));
     writeln!(out, "? {address}  node-ID {id}, not in the files: it stays as it is")
-}
-
-/// `1 value`, `2 values`.
-pub fn counted(count: usize, what: &str) -> String {
-    let plural = if count == 1 { "" } else { "s" };
-    format!("{count} {what}{plural}")
 }
 
 impl NodePlan {

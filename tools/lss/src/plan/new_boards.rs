@@ -10,7 +10,7 @@ use super::{
     table::{Draft, Table},
 };
 use crate::{
-    address,
+    address::{self, counted},
     failure::Failure,
     network::{nodes, rows, scan},
     session::Session,
@@ -176,7 +176,7 @@ impl Work {
             let count = self.done.new.len();
             session
                 .progress
-                .say(|| format!("{count} boards have a node-ID now; looking for another"));
+                .say(|| format!("{} given; looking for another board", counted(count, "node-ID")));
             let scan = Fastscan::new();
             let scan = last.map_or(scan.clone(), |last| scan.after_slave(last));
             let Some(address) = session.carry_out(scan)? else { return Ok(()) };

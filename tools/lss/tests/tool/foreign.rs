@@ -89,7 +89,8 @@ fn assert_served(slaves: &Slaves) {
     assert!(slaves.done(&format!("inquire --address {last}")).contains(&last));
     assert_eq!(slaves.done("list").lines().count(), 1 + count);
     let text = slaves.done("set-rate 250");
-    assert!(text.contains(&format!("all {count} boards answer at 250 kbit/s and have stored it")));
+    let boards = if count == 1 { "1 board".into() } else { format!("{count} boards") };
+    assert!(text.ends_with(&format!("{boards} answered at 250 kbit/s and stored it\n")), "{text}");
     let set = format!("set-id 99 --store --reset --bit-rate 250 --address {last}");
     assert!(slaves.done(&set).contains("node-ID 99, stored"));
 }

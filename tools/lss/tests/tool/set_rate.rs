@@ -25,7 +25,7 @@ fn all_boards_follow_to_the_new_bit_rate_and_store_it() {
     assert_eq!(
         outcome.text,
         "plan: 5 boards from 125 kbit/s to 500 kbit/s\n\
-         all 5 boards answer at 500 kbit/s and have stored it\n"
+         5 boards answered at 500 kbit/s and stored it\n"
     );
     for (board, id) in [1, 2, 0xFF, 4, 5].into_iter().enumerate() {
         assert_eq!(boards.stored(board), Some((id, NEW_INDEX)));
@@ -82,7 +82,7 @@ fn nothing_is_switched_if_a_board_is_pulled_out_before() {
 fn all_others_go_back_if_a_board_is_pulled_out_at_the_switch() {
     let (boards, error) = pull_out(0x15, 0);
     assert!(error.starts_with("at 500 kbit/s: board "), "{error}");
-    assert!(error.contains("Nothing is stored; 2 boards are at 125 kbit/s again, missing: "));
+    assert!(error.contains("Nothing is stored; at 125 kbit/s again: 2 boards, missing: "));
     assert_old(&boards);
 }
 
@@ -90,7 +90,7 @@ fn all_others_go_back_if_a_board_is_pulled_out_at_the_switch() {
 fn all_others_go_back_if_a_board_is_pulled_out_at_the_store() {
     for skipped in 0..2 {
         let (boards, error) = pull_out(0x17, skipped);
-        assert!(error.contains("2 boards are at 125 kbit/s again, missing: "), "{error}");
+        assert!(error.contains("at 125 kbit/s again: 2 boards, missing: "), "{error}");
         assert_old(&boards);
     }
 }
@@ -107,7 +107,7 @@ fn a_board_that_is_only_deaf_for_the_switch_comes_back_too() {
     });
     let outcome = boards.lss("set-rate 500");
     assert_eq!(outcome.code, 1);
-    assert!(outcome.error.ends_with("3 boards are at 125 kbit/s again"), "{}", outcome.error);
+    assert!(outcome.error.ends_with("at 125 kbit/s again: 3 boards"), "{}", outcome.error);
     assert_old(&boards);
     // Its pending bit rate is the old one, too: a store keeps it.
     boards.at_each_frame(|_, _| ());
@@ -130,7 +130,7 @@ fn ctrl_c_around_the_switch_leaves_all_boards_at_one_bit_rate() {
         assert!(
             outcome
                 .text
-                .ends_with("interrupted. Nothing is stored; 3 boards are at 125 kbit/s again\n")
+                .ends_with("interrupted. Nothing is stored; at 125 kbit/s again: 3 boards\n")
         );
         boards.at_each_frame(|_, _| ());
         assert_old(&boards);
@@ -151,7 +151,7 @@ fn a_board_that_listens_at_the_bit_rate_of_the_others_stores_it() {
     boards.rig().network.run_for(Time::from_ms(30_000));
     let outcome = boards.lss("set-rate 500 --bit-rate 500");
     assert_eq!(outcome.code, 0, "{}", outcome.error);
-    assert!(outcome.text.ends_with("all 3 boards answer at 500 kbit/s and have stored it\n"));
+    assert!(outcome.text.ends_with("3 boards answered at 500 kbit/s and stored it\n"));
     for (board, id) in [1, 2, 3].into_iter().enumerate() {
         assert_eq!(boards.stored(board), Some((id, NEW_INDEX)));
     }
@@ -226,7 +226,7 @@ fn stored(wire: &Wire) -> Vec<BitRate> {
 fn another_lss_master_in_a_rate_change_is_told_at_a_safe_moment() {
     let mut outcomes = [0; 2];
     with_fault_at_each_frame(Fault::OtherMaster, |wire, outcome| {
-        let is_done = outcome.text.contains("all 3 boards answer at 500 kbit/s and have stored it");
+        let is_done = outcome.text.contains("3 boards answered at 500 kbit/s and stored it");
         // At the last frame all is done.
         if outcome.code != 0 || !is_done {
             assert_eq!(outcome.code, 1, "{}", outcome.text);

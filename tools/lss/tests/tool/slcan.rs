@@ -38,7 +38,7 @@ fn a_box_of_new_boards_becomes_a_running_network() {
     assert_eq!(assigned.matches("stored, verified by a reset").count(), 2, "{assigned}");
     let log = cargo::scratch("set-rate.log");
     let switched = run(&["set-rate", "250", "--log", &log.to_string_lossy()]);
-    assert!(switched.ends_with("all 2 boards answer at 250 kbit/s and have stored it\n"));
+    assert!(switched.ends_with("2 boards answered at 250 kbit/s and stored it\n"));
     let log = fs::read_to_string(log).expect("a log");
     assert_eq!(log.matches(" can0 7E5#15").count(), 1, "{log}");
     let listed = run(&["list", "--bit-rate", "250"]);
