@@ -9,7 +9,11 @@ use crate::{
     arguments::Assign,
     commands::power::{self, HANDS},
     failure::Failure,
-    network::{board, nodes, rows, scan},
+    network::{
+        board, nodes,
+        rows::{self, Row},
+        scan,
+    },
     plan::{
         found::{self, Absent, Found, Place},
         new_boards::{Done, Work},
@@ -35,7 +39,11 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
     let entries =
         table.iter().filter(|_| !arguments.one_at_a_time).flat_map(|table| &table.entries);
     let boards: Vec<_> = entries.map(|(id, address)| (*id, Some(*address))).collect();
-    let (found, absent) = found::places(session, nodes, &boards)?;
+    let (found, absent) = match table {
+        Some(_) => found::places(session, nodes, &boards)?,
+        // Nobody asks which boards they are.
+        None => (Found { nodes, ..Found::default() }, Absent::new()),
+    };
     let node_ids = NodeIds::new(session, &found, None);
     let mut work = Work { first: arguments.first, table, node_ids, done: Done::default() };
     match carry_out(session, &mut work, found, absent, arguments) {
@@ -65,7 +73,7 @@ fn carry_out(
         false => {
             let missing = of_the_table(session, work, &mut found.places, absent)?;
             if !missing.is_empty() {
-                replace(session, work, &missing, found.unknown, arguments.yes)?;
+                replace(session, work, &missing, &found.unknown, arguments.yes)?;
             }
             work.give_blank(session)?;
         }
@@ -73,6 +81,7 @@ fn carry_out(
     if !work.done.new.is_empty() || is_shared {
         work.part(session)?;
     }
+    left_out(session, work, &found.unknown)?;
     if work.done.new.is_empty() && work.done.problems.is_empty() {
         writeln!(session.out, "no board needs a node-ID")?;
     }
@@ -106,6 +115,33 @@ fn of_the_table(
         done.note(session, ids[number], address, fate)
     })?;
     Ok(missing)
+}
+
+/// Names the boards that had a node-ID before, and that the table does not have.
+fn left_out(session: &mut Session<'_>, work: &Work, unknown: &[Row]) -> Result<(), Failure> {
+    let Some(Table { entries, ids, .. }) = &work.table else { return Ok(()) };
+    session.progress.clear();
+    for row in unknown {
+        let is_told = |address: &Address| {
+            work.done.held.contains(address) || entries.iter().any(|(_, known)| known == address)
+        };
+        // An entry without an address is for the board that has its node-ID.
+        let has_entry =
+            |id: &u8| ids.contains(id) && entries.iter().all(|(other, _)| other.get() != *id);
+        if row.lss_address.as_ref().is_some_and(is_told)
+            || row.node_id.as_ref().is_some_and(has_entry)
+        {
+            continue;
+        }
+        let text = row.lss_address.as_ref().map_or("-".into(), address::text);
+        writeln!(
+            session.out,
+            "node {}  {text}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
+             --reset --store) and assign again",
+            row.id_text()
+        )?;
+    }
+    Ok(())
 }
 
 /// Gives node-IDs to boards that a person plugs in one after the other, and says which it is.

@@ -29,6 +29,7 @@ pub struct Place {
 }
 
 /// The boards on the bus.
+#[derive(Default)]
 pub struct Found {
     /// The nodes that answer.
     pub nodes: Nodes,
@@ -86,7 +87,7 @@ pub fn places(
     let named = boards.iter().filter_map(|(id, address)| Some((*id, (*address)?)));
     let known = nodes::known(session, &named.collect::<Vec<_>>(), &nodes)?;
     let mut rest = nodes.clone();
-    rest.retain(|id, _| !boards.is_empty() && !known.contains(id));
+    rest.retain(|id, _| !known.contains(id));
     let mut rows = rows::of(session, rest)?;
     let problems = rows::twins(&rows);
     let mut search = Search::default();

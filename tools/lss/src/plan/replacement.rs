@@ -22,13 +22,13 @@ pub fn replace(
     session: &mut Session<'_>,
     work: &mut Work,
     missing: &[Board],
-    unknown: Vec<Row>,
+    unknown: &[Row],
     is_agreed: bool,
 ) -> Result<(), Failure> {
     let table = work.entries();
     let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
     let mut new: Vec<Address> = Vec::new();
-    for row in unknown.into_iter().chain(rows::blank(session)?) {
+    for row in unknown.iter().chain(&rows::blank(session)?) {
         new.extend(row.lss_address.filter(|_| row.node_id.is_none_or(is_of_table)));
     }
     new.retain(|address| table.iter().all(|(_, known)| known != address));

@@ -9,7 +9,10 @@ use canopen_node::BitRate;
 use emulator::Time;
 use testkit::cargo;
 
-use crate::emulated::{Boards, address, address_text};
+use crate::{
+    emulated::{Boards, address, address_text},
+    in_process::{self, Wire},
+};
 
 const RATE: BitRate = BitRate::Kbit125;
 /// The index of that bit rate.
@@ -88,6 +91,32 @@ fn the_boards_of_a_table_get_their_node_ids_and_new_ones_come_into_it() {
     let again = boards.lss(&format!("assign --table {}", path.display()));
     assert_eq!((again.code, again.text.matches("as in the table").count()), (0, 4));
     boards.assert_waiting(RATE);
+}
+
+#[test]
+fn a_board_with_a_node_id_that_the_table_lacks_is_named_and_gets_no_entry() {
+    let name = |id: u8, board: usize| {
+        format!("node {id}  {}  is not in the table: ", in_process::address_text(board))
+    };
+    let known = format!("[[node]]\nid = 9\naddress = \"{}\"\n", in_process::address_text(1));
+    for (text, expected) in [
+        ("", vec![name(9, 1), name(30, 0)]),
+        (&known, vec![name(30, 0)]),
+        // Whichever board has that node-ID.
+        ("[[node]]\nid = 30\n", vec![name(9, 1)]),
+    ] {
+        let boards = Wire::new(RATE, &[30, 9]);
+        let path = new_file("lacks.toml");
+        fs::write(&path, text).expect("it can be written");
+        let outcome = boards.lss(&format!("assign --table {}", path.display()));
+        assert_eq!((outcome.code, &*outcome.error), (0, ""));
+        let lines = outcome.text.lines().filter(|line| line.contains("is not in the table"));
+        let lines: Vec<&str> = lines.collect();
+        assert_eq!(lines.len(), expected.len(), "{lines:?}");
+        assert!(lines.iter().zip(&expected).all(|(line, words)| line.starts_with(words)));
+        assert_eq!(fs::read_to_string(&path).expect("it is there"), text);
+    }
+    assert!(!Wire::new(RATE, &[30]).lss("assign").text.contains("table"));
 }
 
 #[test]

@@ -147,6 +147,7 @@ fn a_board_that_was_used_before_takes_over_too() {
         let boards = Boards::new(RATE, &[id, 9]);
         let (outcome, path) = assign(&boards, "used.toml", &two_known(), "--yes");
         assert_eq!((outcome.code, outcome.error.as_str()), (0, ""));
+        assert!(!outcome.text.contains("is not in the table"), "{}", outcome.text);
         assert_eq!(ids(&boards, 2), [Some(5), Some(9)]);
         assert_eq!(content(&path), two_known().replace(&address_text(7), &address_text(0)));
         let list = boards.lss("list");
