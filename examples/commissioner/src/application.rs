@@ -37,7 +37,7 @@ objects! {
 
     0x2100 "Network" {
         1 "State" state: u8 = State::Asking as u8, ro;
-        2 "Boards that are there, bit 0 for node-ID 1" present: u32 = 0, ro;
+        2 "Boards that answer, bit 0 for node-ID 1" present: u32 = 0, ro;
     }
     0x2101 {
         0 "Bit rate to switch to in kbit/s, 0 if none" bit_rate: u16 = 0, rw, stored;
@@ -51,7 +51,7 @@ objects! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum State {
-    /// All boards of the table are there, and no other without a node-ID.
+    /// All boards of the table answer, and no other without a node-ID.
     Complete,
     /// It asks, scans or switches.
     Asking,

@@ -92,7 +92,7 @@ pub struct Update {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Find the bit rate of the network and who is there: listens at all bit rates, and changes no state
+    /// Find the bit rate of the network and the nodes on it: listens at all bit rates, and changes no state
     Find {
         /// Ask at each bit rate if nobody is heard. It disturbs a network that runs but was silent
         #[arg(long)]
@@ -134,7 +134,7 @@ pub enum Command {
         #[arg(value_name = "ID|V:P:R:S", value_parser = address::which)]
         which: Which,
     },
-    /// Ask whether a board with an LSS address within ranges is there; changes no state
+    /// Ask whether any board has an LSS address within ranges; changes no state
     Identify(Ranges),
     /// Give a board a node-ID
     SetId {

@@ -12,7 +12,7 @@ struct Cell {
     /// What it reads since the last start.
     reads: u32,
     /// What it may read at the next one; none if it is certain.
-    doubtful: Vec<u32>,
+    may_read: Vec<u32>,
 }
 
 /// A kind of operation.
@@ -52,7 +52,7 @@ const AREA: usize = 192;
 
 impl Chip {
     pub fn blank(seed: u64) -> Self {
-        let area = || vec![Cell { reads: BLANK, doubtful: Vec::new() }; AREA];
+        let area = || vec![Cell { reads: BLANK, may_read: Vec::new() }; AREA];
         Self(Rc::new(RefCell::new(State {
             run: area(),
             backup: area(),
@@ -90,7 +90,7 @@ impl Chip {
         let journal = 112..126;
         state.area(area).iter().zip(words).enumerate().all(|(i, (cell, word))| {
             let is_journal = area == Area::Backup && journal.contains(&i);
-            is_journal || cell.reads == word && cell.doubtful.is_empty()
+            is_journal || cell.reads == word && cell.may_read.is_empty()
         })
     }
 
@@ -100,8 +100,8 @@ impl Chip {
         state.has_power = true;
         state.busy = 0;
         for cell in state.run.iter_mut().chain(&mut state.backup) {
-            if !cell.doubtful.is_empty() {
-                cell.reads = state.random.pick(&cell.doubtful);
+            if !cell.may_read.is_empty() {
+                cell.reads = state.random.pick(&cell.may_read);
             }
         }
     }
@@ -167,15 +167,15 @@ impl State {
         let partly = self.random.u32();
         let cell = &mut self.area(area)[offset as usize / 4];
         if is_cut {
-            let mut doubtful = std::mem::take(&mut cell.doubtful);
-            doubtful.extend([cell.reads, cell.reads & word, cell.reads & (word | partly)]);
-            cell.doubtful = doubtful;
+            let mut may_read = std::mem::take(&mut cell.may_read);
+            may_read.extend([cell.reads, cell.reads & word, cell.reads & (word | partly)]);
+            cell.may_read = may_read;
         } else {
             // What it may have read keeps only the bits that were not programmed.
             cell.reads &= word;
-            cell.doubtful.iter_mut().for_each(|value| *value &= word);
-            if cell.doubtful.iter().all(|value| *value == word) {
-                cell.doubtful.clear();
+            cell.may_read.iter_mut().for_each(|value| *value &= word);
+            if cell.may_read.iter().all(|value| *value == word) {
+                cell.may_read.clear();
             }
         }
         Ok(())
@@ -223,17 +223,17 @@ impl Flash for Chip {
         let kind = random.within(0..4);
         for cell in &mut state.area(area)[from..to] {
             if !is_cut {
-                *cell = Cell { reads: BLANK, doubtful: Vec::new() };
+                *cell = Cell { reads: BLANK, may_read: Vec::new() };
                 continue;
             }
             let (reads, anything) = (cell.reads, cell.reads | random.u32());
             let is_rare = random.one_in(64);
             match kind {
-                0 => cell.doubtful.extend([reads, BLANK]),
-                1 => cell.doubtful.extend([reads, reads, reads, reads, reads, anything]),
-                2 if is_rare => cell.doubtful.extend([BLANK, anything]),
-                2 => *cell = Cell { reads: BLANK, doubtful: Vec::new() },
-                _ if is_rare => cell.doubtful.extend([reads, reads, BLANK]),
+                0 => cell.may_read.extend([reads, BLANK]),
+                1 => cell.may_read.extend([reads, reads, reads, reads, reads, anything]),
+                2 if is_rare => cell.may_read.extend([BLANK, anything]),
+                2 => *cell = Cell { reads: BLANK, may_read: Vec::new() },
+                _ if is_rare => cell.may_read.extend([reads, reads, BLANK]),
                 _ => {}
             }
         }

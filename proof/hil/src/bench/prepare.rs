@@ -108,7 +108,7 @@ impl Bench {
     }
 
     /// The boards that detect the bit rate. After a reset such a board is silent until it hears a frame; others send
-    /// their boot-up at once. One heard boot-up is proof, silence is doubted once.
+    /// their boot-up at once. One heard boot-up is proof; after silence it is asked once more.
     fn detecting(&mut self) -> Result<Vec<NodeId>, Stop> {
         let mut silent: Vec<_> = self.boards.iter().map(|board| board.id).collect();
         for _ in 0..2 {

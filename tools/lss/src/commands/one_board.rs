@@ -153,7 +153,7 @@ fn address_of(session: &mut Session<'_>, id: NodeId) -> Result<Address, Failure>
     let numbers = nodes::serial_numbers(session, id)?;
     if numbers.is_empty() {
         return Err(Failure::NoAnswer(format!(
-            "node {id} does not answer at {}. `lss list` shows who is there",
+            "node {id} does not answer at {}. `lss list` shows who answers",
             session.bus.rate()
         )));
     }

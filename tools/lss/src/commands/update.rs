@@ -246,7 +246,7 @@ fn rows_of(session: &mut Session<'_>, ids: &[NodeId]) -> Result<Vec<Row>, Failur
         }
         if numbers.is_empty() {
             return Err(Failure::NoAnswer(format!(
-                "node {id} does not answer at {}. `lss list` shows who is there. Nothing was changed",
+                "node {id} does not answer at {}. `lss list` shows who answers. Nothing was changed",
                 session.bus.rate()
             )));
         }

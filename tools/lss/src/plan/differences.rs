@@ -208,7 +208,7 @@ impl NodePlan {
             writeln!(out, "    ~ {words}: {found} -> {wanted}")?;
         }
         if self.lacks_stamp && self.values.is_empty() {
-            writeln!(out, "    ~ the values are there; stores them, and the stamp that proves it")?;
+            writeln!(out, "    ~ it has the values; stores them, and the stamp that proves it")?;
         }
         Ok(())
     }

@@ -138,7 +138,7 @@ impl Files {
         for (number, node) in self.nodes.iter().enumerate() {
             for other in &self.nodes[..number] {
                 if other.id == node.id {
-                    problems.push(format!("node-ID {} is there twice", node.id.get()));
+                    problems.push(format!("node-ID {} is given twice", node.id.get()));
                 }
                 if node.address().is_some() && node.board == other.board {
                     problems.push(format!("{} and {} are one board", other.words(), node.words()));

@@ -196,7 +196,7 @@ fn other_revision(rows: &[Row], is_it: impl Fn(Address) -> bool) -> String {
     let mut boards = rows.iter().filter_map(|row| row.lss_address);
     match boards.find(|address| is_it(*address)) {
         Some(board) => format!(
-            "But {} is there, with another revision number: if it is the one, write that into the file",
+            "But {} answers, with another revision number: if it is the one, write that into the file",
             address::text(&board)
         ),
         None => "Is it on the bus, and has it power?".into(),
@@ -240,7 +240,7 @@ fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
     match all[..] {
         [row] => Ok(row),
         [] => Err(format!(
-            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} is there. {}",
+            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} answers. {}",
             node.words(),
             other_revision(rows, |other| (other.vendor_id, other.product_code)
                 == (vendor_id, product_code))

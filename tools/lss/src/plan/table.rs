@@ -182,7 +182,7 @@ fn entry(id: NodeId, address: Address) -> String {
     format!("\n[[node]]\nid = {}\naddress = \"{text}\"\n", id.get())
 }
 
-/// Reads the content, in which no node-ID and no address is wrong or there twice.
+/// Reads the content, in which no node-ID and no address is wrong or given twice.
 pub fn parse(text: &str) -> Result<Content, String> {
     let content: Content = toml::from_str(text).map_err(|error| error.to_string())?;
     let (mut ids, mut addresses) = (BTreeSet::new(), BTreeSet::new());
@@ -192,7 +192,7 @@ pub fn parse(text: &str) -> Result<Content, String> {
         let is_new = address.as_ref().is_none_or(|address| addresses.insert(address.clone()));
         if !ids.insert(id) || !is_new {
             let address = address.map_or_else(String::new, |address| format!(" or {address}"));
-            return Err(format!("node-ID {id}{address} is there twice"));
+            return Err(format!("node-ID {id}{address} is given twice"));
         }
     }
     Ok(content)

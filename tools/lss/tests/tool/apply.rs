@@ -516,7 +516,7 @@ fn a_board_of_another_revision_is_told() {
     let (outcome, _) =
         wire.apply(&file("revision", &format!("[[node]]\nid = 5\naddress = \"{text}\"\n")), "");
     let why = format!(
-        "node 5 is missing: {text}. But {} is there, with another revision number",
+        "node 5 is missing: {text}. But {} answers, with another revision number",
         address_text(0)
     );
     assert!(outcome.error.starts_with(&why), "{}", outcome.error);

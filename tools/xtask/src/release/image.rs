@@ -86,7 +86,7 @@ pub fn read_hex(text: &str) -> anyhow::Result<BTreeMap<u32, u8>> {
 fn insert(bytes: &mut BTreeMap<u32, u8>, start: u32, new: &[u8]) -> anyhow::Result<()> {
     for (address, byte) in (start..).zip(new) {
         ensure!(!SETTINGS.contains(&address), "{address:08X} belongs to the settings");
-        ensure!(bytes.insert(address, *byte).is_none(), "{address:08X} is there twice");
+        ensure!(bytes.insert(address, *byte).is_none(), "{address:08X} is given twice");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The variants of the controller that the reference manual leaves open: one switch for each doubtful passage.
+//! The variants of the controller that the reference manual leaves open: one switch for each passage.
 
 use crate::Time;
 

@@ -8,8 +8,8 @@ use crate::{Time, can::Level};
 pub struct Pins {
     /// The level that it drives reaches the wire.
     pub transmit: bool,
-    /// It receives the wire's level, otherwise a dominant level. That is a doubtful reading, but no station joins a bus
-    /// by a pin that is not connected.
+    /// It receives the wire's level, otherwise a dominant level. The manual leaves that open, but no station joins a bus by
+    /// a pin that is not connected.
     pub receive: bool,
 }
 

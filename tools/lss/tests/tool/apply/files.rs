@@ -38,7 +38,7 @@ fn wrong_files_are_told_before_anything_is_sent() {
         ),
         (node(5, 0) + "eds = \"none.eds\"", "none.eds: No such file"),
         (node(5, 0) + "vaules = 5", "node 5: \"vaules\" is no key of a node"),
-        (node(5, 0) + &node(6, 0), " is there twice"),
+        (node(5, 0) + &node(6, 0), " is given twice"),
         ("[[node]]\nid = 5\n".into(), "node 5: address = \"V:P:R:S\" says which board it is"),
         ("bit_rate = 126\n".to_owned() + &node(5, 0), "126 is no bit rate of CiA 301 in kbit/s"),
         (String::new(), "there is no node in the file"),
@@ -105,7 +105,7 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
     let (outcome, writes) = wire.apply(&dcf, "--plan");
     assert_eq!((outcome.code, writes), (1, 0));
     assert!(
-        outcome.text.contains("the values are there; stores them, and the stamp"),
+        outcome.text.contains("it has the values; stores them, and the stamp"),
         "{}",
         outcome.text
     );
@@ -126,7 +126,7 @@ fn a_dcf_is_written_of_what_is_on_the_node_and_brings_it_back() {
     assert!(outcome.text.contains("node 5 \"pump\"  "), "{}", outcome.text);
     assert!(outcome.text.contains("node 6  "), "{}", outcome.text);
     let outcome = wire.lss(&format!("apply {0} {0}", dcf.display()));
-    assert!(outcome.error.starts_with("node-ID 5 is there twice\n"), "{}", outcome.error);
+    assert!(outcome.error.starts_with("node-ID 5 is given twice\n"), "{}", outcome.error);
 }
 
 /// The data sheet as a configuration file with a place in the network, and this value of 2100h.
