@@ -60,7 +60,7 @@ use crate::{
     sdo::{self, Abort},
 };
 
-/// The objects of a product: what [`objects!`](crate::objects) implements.
+/// The objects of a product: what [`objects!`](crate::objects) implements. By default there are none.
 pub trait Dictionary {
     /// A value on its way into the dictionary, with the name of its field.
     type Value;
@@ -70,20 +70,28 @@ pub trait Dictionary {
     /// The numbers of PDOs and heartbeat producers, as the [`Application`] declares them.
     type Numbers: Declares<Self>;
     /// The objects, by index and sub-index.
-    const OBJECTS: &'static [Entry];
+    const OBJECTS: &'static [Entry] = &[];
 
     /// The descriptions of [`OBJECTS`](Self::OBJECTS), in the same order.
-    fn descriptions() -> impl Iterator<Item = Description>;
+    fn descriptions() -> impl Iterator<Item = Description> {
+        iter::empty()
+    }
 
     /// The greatest number of bytes that the stored values take, with
     /// [`HEADER`](crate::settings::parameters::HEADER) bytes for each.
-    const STORED_LEN: usize;
+    const STORED_LEN: usize = 0;
 
     /// The length of the value of a field in bytes.
-    fn len(&self, field: u8) -> usize;
+    fn len(&self, field: u8) -> usize {
+        let _ = field;
+        0
+    }
 
     /// Copies the bytes of the value of a field from `offset` to `to`; returns their number.
-    fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize;
+    fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
+        let _ = (field, offset, to);
+        0
+    }
 
     /// The value of a field that a PDO can carry: its bytes, the first as the lowest.
     #[doc(hidden)]
@@ -97,10 +105,15 @@ pub trait Dictionary {
     ///
     /// # Errors
     /// The length is wrong, or the value is out of its limits.
-    fn parse(field: u8, bytes: &[u8]) -> Result<Self::Value, Abort>;
+    fn parse(field: u8, bytes: &[u8]) -> Result<Self::Value, Abort> {
+        let _ = (field, bytes);
+        Err(Abort::NoObject)
+    }
 
     /// Replaces the value of a field.
-    fn set(&mut self, value: Self::Value);
+    fn set(&mut self, value: Self::Value) {
+        let _ = value;
+    }
 
     /// The content of a value that is declared `with` a function to read it.
     #[doc(hidden)]
@@ -249,26 +262,6 @@ impl Dictionary for NoApplication {
     type Value = ();
     type SdoBuffer = [u8; longest(&[])];
     type Numbers = Count<0, 0, 0>;
-    const OBJECTS: &'static [Entry] = &[];
-    const STORED_LEN: usize = 0;
-
-    fn descriptions() -> impl Iterator<Item = Description> {
-        iter::empty()
-    }
-
-    fn len(&self, _: u8) -> usize {
-        0
-    }
-
-    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
-        0
-    }
-
-    fn parse(_: u8, _: &[u8]) -> Result<(), Abort> {
-        Err(Abort::NoObject)
-    }
-
-    fn set(&mut self, (): ()) {}
 }
 
 impl Application for NoApplication {}

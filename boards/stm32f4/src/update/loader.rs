@@ -6,9 +6,7 @@ use canopen_node::{
     Application, BitRate, Confirmation, Count, Device, Instant, Node,
     application::{Dictionary, Event},
     lss::StoreError,
-    nmt,
-    object_dictionary::{Description, Entry},
-    sdo,
+    nmt, sdo,
     settings::Log,
 };
 use cortex_m::{
@@ -89,26 +87,6 @@ impl Dictionary for Loader {
     type Value = ();
     type SdoBuffer = [u8; 8];
     type Numbers = Count<0, 0, 0>;
-    const OBJECTS: &'static [Entry] = &[];
-    const STORED_LEN: usize = 0;
-
-    fn descriptions() -> impl Iterator<Item = Description> {
-        core::iter::empty()
-    }
-
-    fn len(&self, _: u8) -> usize {
-        0
-    }
-
-    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
-        0
-    }
-
-    fn parse(_: u8, _: &[u8]) -> Result<(), sdo::Abort> {
-        Err(sdo::Abort::NoObject)
-    }
-
-    fn set(&mut self, (): ()) {}
 }
 
 impl Application for Loader {

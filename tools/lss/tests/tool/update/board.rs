@@ -3,13 +3,12 @@
 
 mod chip;
 
-use std::{cell::RefCell, iter, rc::Rc};
+use std::{cell::RefCell, rc::Rc};
 
 use canopen_node::{
     Application, Confirmation, Count,
     application::{Dictionary, longest},
     nmt,
-    object_dictionary::{Description, Entry},
     sdo::Abort,
 };
 use program_update::{
@@ -231,26 +230,6 @@ impl Dictionary for Board {
     type Value = ();
     type SdoBuffer = [u8; longest(&[])];
     type Numbers = Count<0, 0, 0>;
-    const OBJECTS: &'static [Entry] = &[];
-    const STORED_LEN: usize = 0;
-
-    fn descriptions() -> impl Iterator<Item = Description> {
-        iter::empty()
-    }
-
-    fn len(&self, _: u8) -> usize {
-        0
-    }
-
-    fn read(&self, _: u8, _: usize, _: &mut [u8]) -> usize {
-        0
-    }
-
-    fn parse(_: u8, _: &[u8]) -> Result<(), Abort> {
-        Err(Abort::NoObject)
-    }
-
-    fn set(&mut self, (): ()) {}
 }
 
 impl Application for Board {
