@@ -9,12 +9,9 @@ use emulator::{
     can::Clock,
     chip::{ChipVariant, Part, Pin, PowerCut, Problem, ResetCause},
 };
-use programs::{Program, R0, R1, R2, R3};
+use programs::{Program, R0, R1, R2, R3, RCC_AHB1ENR, RCC_APB1ENR, RCC_CFGR, RCC_CR};
 
-const RCC_CR: u32 = 0x4002_3800;
-const RCC_CFGR: u32 = 0x4002_3808;
 const FLASH_ACR: u32 = 0x4002_3C00;
-const RCC_AHB1ENR: u32 = 0x4002_3830;
 const RCC_CSR: u32 = 0x4002_3874;
 const GPIOD: u32 = 0x4002_0C00;
 const IWDG_KR: u32 = 0x4000_3000;
@@ -25,7 +22,6 @@ const SYST_RVR: u32 = 0xE000_E014;
 const AIRCR: u32 = 0xE000_ED0C;
 const COUNTER: u32 = 0x2000_0100;
 
-const RCC_APB1ENR: u32 = 0x4002_3840;
 const NVIC_ISER: u32 = 0xE000_E100;
 const TIM2: u32 = 0x4000_0000;
 const TIM2_CCR1: u32 = TIM2 + 0x34;

@@ -10,12 +10,8 @@ use emulator::{
     chip::Part,
     network::{AdapterId, Event, Network, Recording, Source, What},
 };
-use programs::{Program, R1};
+use programs::{Program, R1, RCC_AHB1ENR, RCC_APB1ENR, RCC_CFGR, RCC_CR};
 
-const RCC_CR: u32 = 0x4002_3800;
-const RCC_CFGR: u32 = 0x4002_3808;
-const RCC_AHB1ENR: u32 = 0x4002_3830;
-const RCC_APB1ENR: u32 = 0x4002_3840;
 const GPIOA: u32 = 0x4002_0000;
 const CAN: u32 = 0x4000_6400;
 const NVIC_ISER0: u32 = 0xE000_E100;

@@ -16,6 +16,11 @@ pub const R7: Register = Register(7);
 /// Holds values to be stored.
 const R6: Register = Register(6);
 
+pub const RCC_CR: u32 = 0x4002_3800;
+pub const RCC_CFGR: u32 = 0x4002_3808;
+pub const RCC_AHB1ENR: u32 = 0x4002_3830;
+pub const RCC_APB1ENR: u32 = 0x4002_3840;
+
 const FLASH: u32 = 0x0800_0000;
 const RAM: u32 = 0x2000_0000;
 /// The address at which a copy in RAM runs.
