@@ -8,7 +8,6 @@ use std::{
     process::{Command, Stdio},
 };
 
-use anyhow::Context;
 use canopen_stm32f4::chip::Chip;
 use emulator::{chip::Part, image::Image};
 
@@ -62,11 +61,7 @@ pub fn build_changed(
         is_signed: false,
     };
     let mut files = product.files()?;
-    for (path, from, to) in changes {
-        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
-        let content = &mut file.with_context(|| format!("{path} has no {from}"))?.1;
-        *content = content.replace(from, to);
-    }
+    update::change(&mut files, changes)?;
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
         in_our_target(command);

@@ -15,10 +15,10 @@ pub(super) const FILES: [(&str, &str); 2] = [
 pub(super) const KEY: (&str, &str) = ("template/update/key.rs", "src/key.rs");
 
 /// A file of the product, a text in it, and the text in its place.
-type Change = (&'static str, &'static str, &'static str);
+type Change<'a> = (&'a str, &'a str, &'a str);
 
 /// The changes of the files of a product.
-pub(super) const CHANGES: &[Change] = &[
+pub(super) const CHANGES: &[Change<'_>] = &[
     (
         ".cargo/config.toml",
         "eds = \"run --example eds\"\n",
@@ -91,7 +91,7 @@ pub(super) const CHANGES: &[Change] = &[
 ];
 
 /// The further changes of a product whose loader takes only signed programs.
-const CHANGES_IF_SIGNED: &[Change] = &[
+const CHANGES_IF_SIGNED: &[Change<'_>] = &[
     ("Cargo.toml", "features = [\"update\"]", "features = [\"signed\"]"),
     (
         ".cargo/config.toml",
@@ -108,20 +108,22 @@ const CHANGES_IF_SIGNED: &[Change] = &[
     (UPDATE_FILE, "let loader_key = None;", "let loader_key = Some(&key::KEY);"),
 ];
 
+/// Makes the changes. Fails if a text is not there.
+pub(super) fn change(files: &mut [(&str, String)], changes: &[Change<'_>]) -> io::Result<()> {
+    for (path, from, to) in changes {
+        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
+        let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
+        file.1 = file.1.replacen(from, to, 1);
+    }
+    Ok(())
+}
+
 /// Adds the loader to the files of a product, and makes the changes.
 pub(super) fn add(
     files: &mut Vec<(&'static str, String)>,
     is_signed: bool,
     read: impl Fn(&str) -> io::Result<String>,
 ) -> io::Result<()> {
-    let change = |files: &mut Vec<(&str, String)>, changes: &[Change]| {
-        for (path, from, to) in changes {
-            let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
-            let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
-            file.1 = file.1.replacen(from, to, 1);
-        }
-        Ok::<_, io::Error>(())
-    };
     change(files, CHANGES)?;
     for (template, path) in FILES {
         files.push((path, read(template)?));
