@@ -291,14 +291,38 @@ impl Wire {
     }
 }
 
-impl Adapter for Wire {
-    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
-        self.adapter.open(rate, mode)
-    }
+/// The methods of an adapter in front of another one, `self.adapter`, but for what a test changes.
+macro_rules! forward {
+    () => {
+        fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
+            self.adapter.open(rate, mode)
+        }
 
-    fn close(&mut self) -> Result<(), Stop> {
-        self.adapter.close()
-    }
+        fn close(&mut self) -> Result<(), Stop> {
+            self.adapter.close()
+        }
+
+        fn now(&self) -> Instant {
+            self.adapter.now()
+        }
+
+        fn clock(&self) -> &'static str {
+            self.adapter.clock()
+        }
+
+        fn latency(&self) -> Option<Duration> {
+            self.adapter.latency()
+        }
+
+        fn description(&self) -> String {
+            self.adapter.description()
+        }
+    };
+}
+pub(crate) use forward;
+
+impl Adapter for Wire {
+    forward!();
 
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         self.assert_adapter()?;
@@ -338,21 +362,5 @@ impl Adapter for Wire {
     fn status(&mut self) -> Result<Option<Status>, Stop> {
         let status = self.adapter.status()?;
         Ok(status.filter(|_| !self.record().has_no_status))
-    }
-
-    fn now(&self) -> Instant {
-        self.adapter.now()
-    }
-
-    fn clock(&self) -> &'static str {
-        self.adapter.clock()
-    }
-
-    fn latency(&self) -> Option<Duration> {
-        self.adapter.latency()
-    }
-
-    fn description(&self) -> String {
-        self.adapter.description()
     }
 }

@@ -31,7 +31,10 @@ use super::{
     board::{Board, Deed, State},
     program::{Kind, file_with},
 };
-use crate::emulated::{Outcome, run};
+use crate::{
+    emulated::{Outcome, run},
+    in_process::forward,
+};
 
 /// The bit rate of these networks.
 const RATE: BitRate = BitRate::Kbit1000;
@@ -270,13 +273,7 @@ impl Fleet {
 }
 
 impl Adapter for Fleet {
-    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
-        self.adapter.open(rate, mode)
-    }
-
-    fn close(&mut self) -> Result<(), Stop> {
-        self.adapter.close()
-    }
+    forward!();
 
     fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         self.assert_adapter()?;
@@ -331,21 +328,5 @@ impl Adapter for Fleet {
 
     fn status(&mut self) -> Result<Option<Status>, Stop> {
         self.adapter.status()
-    }
-
-    fn now(&self) -> Instant {
-        self.adapter.now()
-    }
-
-    fn clock(&self) -> &'static str {
-        self.adapter.clock()
-    }
-
-    fn latency(&self) -> Option<Duration> {
-        self.adapter.latency()
-    }
-
-    fn description(&self) -> String {
-        self.adapter.description()
     }
 }
