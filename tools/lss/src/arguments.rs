@@ -165,14 +165,22 @@ pub enum Command {
 impl Command {
     /// The command in the title of a picture.
     pub fn title(&self) -> String {
-        match self {
-            Self::List { .. } => "lss list".into(),
-            Self::Assign(_) => "lss assign".into(),
-            Self::Apply(_) => "lss apply".into(),
-            Self::Update(_) => "lss update".into(),
-            Self::SetRate { rate, .. } => format!("lss set-rate {}", rate.kbit_per_s()),
-            _ => "lss".into(),
-        }
+        let name = match self {
+            Self::Find { .. } => "find",
+            Self::List { .. } => "list",
+            Self::Assign(_) => "assign",
+            Self::Apply(_) => "apply",
+            Self::SetRate { rate, .. } => return format!("lss set-rate {}", rate.kbit_per_s()),
+            Self::Update(_) => "update",
+            Self::Inquire(_) => "inquire",
+            Self::Blink { .. } => "blink",
+            Self::Identify(_) => "identify",
+            Self::SetId { .. } => "set-id",
+            Self::Store(_) => "store",
+            Self::Raw { .. } => "raw",
+            Self::Completion { .. } => "completion",
+        };
+        format!("lss {name}")
     }
 }
 

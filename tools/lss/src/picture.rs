@@ -132,8 +132,13 @@ fn rates(picture: &mut Timeline, history: &History) {
         }
     }
     for (from, to) in picture.scale.shortened().collect::<Vec<_>>() {
-        let title = format!("{:.1} s without a request", (to - from).as_secs_f64());
-        picture.shade([from, to], TOP, "#e9ecef", &title);
+        let seconds = (to - from).as_secs_f64();
+        let title = format!("{seconds:.1} s without a request");
+        let [x, end] = picture.shade([from, to], TOP, "#e9ecef", &title);
+        let text = format!("{seconds:.0} s");
+        if end - x > 8.0 * text.len() as f64 {
+            picture.svg += &gray((x + end) / 2.0, center(0) - 5.0, "middle", &text);
+        }
     }
 }
 
