@@ -1,10 +1,12 @@
 //! The CAN adapter: one interface to SLCAN over a serial line or TCP, and to SocketCAN.
 
+#[cfg(feature = "adapters")]
 mod slcan;
+#[cfg(feature = "adapters")]
 mod socketcan;
 
 use std::{
-    fmt, io,
+    fmt,
     str::FromStr,
     time::{Duration, Instant},
 };
@@ -62,7 +64,9 @@ pub trait Adapter {
     /// The next frame, if one comes within `wait`. Remote frames and those with 29-bit identifiers are skipped.
     fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop>;
     /// The adapter's errors, if it can report them.
-    fn status(&mut self) -> Result<Option<Status>, Stop>;
+    fn status(&mut self) -> Result<Option<Status>, Stop> {
+        Ok(None)
+    }
     /// Waits until the adapter has carried out what it was told before, if it answers questions.
     fn settle(&mut self) -> Result<(), Stop> {
         Ok(())
@@ -72,20 +76,25 @@ pub trait Adapter {
         Instant::now()
     }
     /// The clock of [`Received::at`], for a person.
-    fn clock(&self) -> &'static str;
+    fn clock(&self) -> &'static str {
+        HOST_CLOCK
+    }
     /// The only bit rate that the adapter can be opened at.
     fn fixed_rate(&self) -> Option<BitRate> {
         None
     }
     /// The time from a question to the adapter itself to its answer, if that is known.
-    fn latency(&self) -> Option<Duration>;
+    fn latency(&self) -> Option<Duration> {
+        None
+    }
     /// The adapter and its version, for a person.
     fn description(&self) -> String;
 }
 
 /// Whether a read or a write has only come to the end of its wait.
-fn is_timeout(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+#[cfg(feature = "adapters")]
+fn is_timeout(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
     [TimedOut, WouldBlock, Interrupted].contains(&error.kind())
 }
 
@@ -170,6 +179,7 @@ impl Place {
     }
 
     /// Connects to the adapter, which stays off the bus.
+    #[cfg(feature = "adapters")]
     pub fn connect(&self) -> Result<Box<dyn Adapter>, Stop> {
         Ok(match self {
             Self::Serial { .. } | Self::Tcp(_) => Box::new(slcan::Slcan::connect(self.clone())?),

@@ -1,7 +1,6 @@
 //! What programs with a CAN adapter share: SLCAN and SocketCAN, the bus as an LSS master sees it, an SDO client,
 //! frames in words, electronic data sheets, drawings, and questions to the person.
 
-#[cfg(feature = "adapters")]
 pub mod adapter;
 #[cfg(feature = "adapters")]
 pub mod bus;
@@ -12,6 +11,5 @@ pub mod person;
 #[cfg(feature = "adapters")]
 pub mod sdo;
 pub mod slcan;
-#[cfg(feature = "adapters")]
 pub mod stop;
 pub mod svg;

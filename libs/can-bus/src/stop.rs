@@ -1,25 +1,36 @@
 //! The reasons that end a run at once.
 
+use std::fmt;
+
 use canopen_node::Frame;
-use thiserror::Error;
 
 /// A reason to end the sessions and to restore the boards.
-#[derive(Clone, Debug, Error)]
+#[derive(Clone, Debug)]
 pub enum Stop {
     /// There is no such adapter, or it refuses to work.
-    #[error("no adapter: {0}")]
     NoAdapter(String),
-    #[error("the adapter has vanished: {0}")]
     AdapterGone(String),
     /// Ctrl-C.
-    #[error("interrupted")]
     Interrupted,
     /// A frame that only a master sends.
-    #[error(
-        "two masters: another program or device on this bus sends requests ({0:?}). Stop it, or take it off the bus"
-    )]
     OtherMaster(Frame),
     /// The bench is not fit for the sessions, in words.
-    #[error("{0}")]
     Bench(String),
+}
+
+impl std::error::Error for Stop {}
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoAdapter(why) => write!(f, "no adapter: {why}"),
+            Self::AdapterGone(why) => write!(f, "the adapter has vanished: {why}"),
+            Self::Interrupted => f.write_str("interrupted"),
+            Self::OtherMaster(frame) => write!(
+                f,
+                "two masters: another program or device on this bus sends requests ({frame:?}). Stop it, or take it off the bus"
+            ),
+            Self::Bench(why) => f.write_str(why),
+        }
+    }
 }

@@ -1,17 +1,30 @@
 //! The bench of a case: the line to the device, its data sheet, the frames so far, and the steps that cases share.
 
-use std::time::Duration;
+use std::{
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
 
-use canopen_node::Frame;
+use can_bus::{
+    adapter::{Adapter, Mode},
+    stop,
+};
+use canopen_node::{BitRate, Frame};
 pub use testkit::sdo_messages::Address;
 use testkit::sdo_messages::{expedited, initiate, segment};
 
-use crate::{Broken, Line, Step, eds::Eds, lss::Target};
+use crate::{Lab, Line, Step, eds::Eds, lss::Target};
 
 /// The wait for an answer that must come. A store may erase a sector of flash first.
 const PATIENCE: Duration = ms(5_000);
 /// The wait for an answer that must not come.
 const SILENCE: Duration = ms(200);
+/// The longest wait between two looks at Ctrl-C.
+const SLICE: Duration = ms(50);
 
 /// Why a case ends early.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,11 +37,20 @@ pub enum Stop {
     Broken(String),
 }
 
-impl From<Broken> for Stop {
-    fn from(broken: Broken) -> Self {
-        Self::Broken(broken.0)
+impl From<stop::Stop> for Stop {
+    fn from(stop: stop::Stop) -> Self {
+        Self::Broken(stop.to_string())
     }
 }
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Self::Failed(text) | Self::Skipped(text) | Self::Broken(text)) = self;
+        f.write_str(text)
+    }
+}
+
+impl std::error::Error for Stop {}
 
 /// A line of a case's protocol.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,7 +81,13 @@ pub const fn ms(count: u64) -> Duration {
 
 /// The device on its line, and what was seen of it.
 pub struct Bench<'a> {
-    line: &'a mut dyn Line,
+    line: Line<'a>,
+    /// The adapter's time at the beginning.
+    start: Instant,
+    /// How much earlier or later than on the bus a frame can be seen.
+    pub jitter: Duration,
+    /// Ends the run.
+    pub is_interrupted: Arc<AtomicBool>,
     /// The data sheet of the device.
     pub eds: &'a Eds,
     /// The node-ID of the device.
@@ -70,8 +98,20 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    pub fn new(line: &'a mut dyn Line, eds: &'a Eds, node: u8) -> Self {
-        Self { line, eds, node, lss: Target::default(), seen: Vec::new() }
+    /// The device on an open adapter.
+    pub fn new(line: Line<'a>, eds: &'a Eds, node: u8) -> Self {
+        let mut bench = Self {
+            line,
+            start: Instant::now(),
+            jitter: ms(1),
+            is_interrupted: Arc::default(),
+            eds,
+            node,
+            lss: Target::default(),
+            seen: Vec::new(),
+        };
+        bench.start = bench.adapter().now();
+        bench
     }
 
     pub(crate) fn begin(&mut self) {
@@ -82,13 +122,28 @@ impl<'a> Bench<'a> {
         std::mem::take(&mut self.seen)
     }
 
-    pub fn now(&self) -> Duration {
-        self.line.now()
+    fn adapter(&mut self) -> &mut dyn Adapter {
+        match &mut self.line {
+            Line::Adapter(adapter) => *adapter,
+            Line::Lab(lab) => *lab,
+        }
     }
 
-    /// How far a time between frames may be from the right one.
-    pub fn jitter(&self) -> Duration {
-        self.line.jitter()
+    /// The laboratory; the case is skipped if there is none, because the line cannot do this.
+    pub fn lab(&mut self, cannot: &str) -> Step<&mut dyn Lab> {
+        match &mut self.line {
+            Line::Adapter(_) => Err(Stop::Skipped(format!("this line cannot {cannot}"))),
+            Line::Lab(lab) => Ok(*lab),
+        }
+    }
+
+    /// The time since the beginning.
+    pub fn now(&self) -> Duration {
+        let now = match &self.line {
+            Line::Adapter(adapter) => adapter.now(),
+            Line::Lab(lab) => lab.now(),
+        };
+        now.saturating_duration_since(self.start)
     }
 
     fn saw(&mut self, what: Seen) {
@@ -125,14 +180,14 @@ impl<'a> Bench<'a> {
     /// Sends a data frame with this COB-ID and at most eight bytes.
     pub fn send(&mut self, cob_id: u16, data: &[u8]) -> Step {
         let frame = Frame::new(cob_id, data).expect("an 11-bit COB-ID and at most eight bytes");
-        self.line.send(&frame)?;
+        self.adapter().send(&frame)?;
         self.saw(Seen::Sent(frame));
         Ok(())
     }
 
     /// Sends a remote frame; the case is skipped if the line cannot.
     pub fn send_remote(&mut self, cob_id: u16, length: u8) -> Step {
-        if !self.line.send_remote(cob_id, length)? {
+        if !self.adapter().send_remote(cob_id, length)? {
             return self.skip("this line sends no remote frames");
         }
         self.saw(Seen::SentOther(format!("{cob_id:03X} remote, {length} bytes")));
@@ -141,7 +196,7 @@ impl<'a> Bench<'a> {
 
     /// Sends a data frame with a 29-bit identifier; the case is skipped if the line cannot.
     pub fn send_extended(&mut self, id: u32, data: &[u8]) -> Step {
-        if !self.line.send_extended(id, data)? {
+        if !self.adapter().send_extended(id, data)? {
             return self.skip("this line sends no frames with 29-bit identifiers");
         }
         self.saw(Seen::SentOther(format!("{id:08X} with 29 bits, {}", hex(data))));
@@ -150,27 +205,43 @@ impl<'a> Bench<'a> {
 
     /// Cuts the supply of the device for `span`; the case is skipped if the line cannot.
     pub fn cut_power(&mut self, span: Duration) -> Step {
-        if !self.line.power(false)? {
-            return self.skip("this line cannot switch the supply");
-        }
+        self.lab("switch the supply")?.power(false);
         self.note(format!("no power for {} ms", span.as_millis()));
         self.pass(span)?;
-        self.line.power(true)?;
+        self.lab("switch the supply")?.power(true);
         Ok(())
     }
 
-    /// The line, for a service that the bench does not know.
-    pub fn line(&mut self) -> &mut dyn Line {
-        self.line
+    /// Skips the case if the line has a fixed bit rate.
+    pub fn needs_bit_rates(&mut self) -> Step {
+        match self.adapter().fixed_rate() {
+            Some(_) => self.skip("this line cannot change its bit rate"),
+            None => Ok(()),
+        }
+    }
+
+    /// Joins the bus at another bit rate; the case is skipped if the line cannot.
+    pub fn open(&mut self, rate: BitRate) -> Step {
+        self.needs_bit_rates()?;
+        Ok(self.adapter().open(rate, Mode::Normal)?)
     }
 
     /// The next frame that comes before `until`.
     pub fn receive(&mut self, until: Duration) -> Step<Option<(Duration, Frame)>> {
-        let received = self.line.receive(until)?;
-        if let Some((_, frame)) = received {
-            self.saw(Seen::Received(frame));
+        loop {
+            if self.is_interrupted.load(Ordering::Relaxed) {
+                return Err(stop::Stop::Interrupted.into());
+            }
+            let wait = until.saturating_sub(self.now()).min(SLICE);
+            if let Some(received) = self.adapter().receive(wait)? {
+                self.saw(Seen::Received(received.frame));
+                let time = received.here.saturating_duration_since(self.start);
+                return Ok(Some((time, received.frame)));
+            }
+            if self.now() >= until {
+                return Ok(None);
+            }
         }
-        Ok(received)
     }
 
     /// The first frame within `span` that `is_it`, with its time; others are passed over.
@@ -282,7 +353,7 @@ impl<'a> Bench<'a> {
     /// Sends a message to the SDO server, and expects no answer.
     pub fn expect_silence(&mut self, message: [u8; 8]) -> Step {
         self.say(message)?;
-        let answer = self.hear(SILENCE + self.jitter())?;
+        let answer = self.hear(SILENCE + self.jitter)?;
         self.check(answer.is_none(), "no answer of the SDO server")
     }
 

@@ -33,7 +33,7 @@
 //! [`lss::LSS`] lists the groups of CiA 305, which the certifier's tool does not test; they need the LSS addresses in
 //! `Bench::lss`.
 //!
-//! A line is a [`Line`]: the emulated bus in virtual time for `cargo verify conformance`, an adapter for `cargo hil`.
+//! A [`Line`] is an adapter: a real one for `cargo hil`, a [`Lab`] in virtual time for `cargo verify conformance`.
 
 mod abort;
 mod bench;
@@ -56,7 +56,7 @@ mod synchronization;
 pub use can_bus::eds;
 
 pub use bench::{Address, Bench, Command, Seen, Stop, ms};
-pub use line::{Broken, Line};
+pub use line::{Lab, Line};
 pub use own::OWN;
 pub use report::{Finding, Outcome, Report, html, junit};
 
@@ -145,7 +145,7 @@ pub fn run(
     wanted: &[String],
     report: &mut Report,
     mut show: impl FnMut(&Finding),
-) -> Result<(), Broken> {
+) -> Step {
     let mut unprepared = 0;
     for group in groups {
         for (place, case) in group.cases.iter().enumerate() {
@@ -170,7 +170,7 @@ pub fn run(
                 Ok(()) => Outcome::Passed,
                 Err(Stop::Failed(expected)) => Outcome::Failed(expected),
                 Err(Stop::Skipped(reason)) => Outcome::Skipped(reason),
-                Err(Stop::Broken(reason)) => return Err(Broken(reason)),
+                Err(broken @ Stop::Broken(_)) => return Err(broken),
             };
             let took = bench.now() - from;
             let frames = bench.take_seen();
@@ -178,12 +178,12 @@ pub fn run(
             show(&finding);
             report.findings.push(finding);
             if unprepared == MOST_UNPREPARED {
-                return Err(Broken("the device cannot be prepared: is it there?".into()));
+                return Err(Stop::Broken("the device cannot be prepared: is it there?".into()));
             }
         }
     }
     if report.findings.is_empty() {
-        return Err(Broken(format!("no case begins with {}", wanted.join(" or "))));
+        return Err(Stop::Broken(format!("no case begins with {}", wanted.join(" or "))));
     }
     Ok(())
 }

@@ -95,7 +95,7 @@ fn tpdo_inhibit_time(bench: &mut Bench) -> Step {
 
 /// Checks that at least so many milliseconds are between two frames.
 fn check_gaps(bench: &Bench, frames: &[(Duration, Frame)], least: u64) -> Step {
-    let least_gap = ms(least).saturating_sub(bench.jitter());
+    let least_gap = ms(least).saturating_sub(bench.jitter);
     let is_kept = frames.windows(2).all(|pair| pair[1].0 - pair[0].0 >= least_gap);
     bench.check(is_kept, format!("{least} ms between two of them"))
 }
@@ -280,7 +280,7 @@ fn heartbeat_restart(bench: &mut Bench) -> Step {
     let early = bench.collect(ms(800), cob_id)?;
     bench.check(early.is_empty(), "no heartbeat of the time before")?;
     let beat = bench.wait_for(ms(1_100), |frame| frame.cob_id() == cob_id)?;
-    let latest = written + ms(1_100) + bench.jitter();
+    let latest = written + ms(1_100) + bench.jitter;
     let is_punctual = beat.is_some_and(|(time, _)| time <= latest);
     bench.check(is_punctual, format!("{cob_id:03X} 1 s after the write"))
 }

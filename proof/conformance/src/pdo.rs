@@ -316,7 +316,7 @@ fn stimulate(bench: &mut Bench, mode: Mode, cob_id: u16, is_sent: bool) -> Step 
         return Ok(());
     }
     let period = ms(TIMER_MS.into());
-    let tolerance = period / 10 + bench.jitter();
+    let tolerance = period / 10 + bench.jitter;
     let is_punctual =
         frames.windows(2).all(|pair| (pair[1].0 - pair[0].0).abs_diff(period) <= tolerance);
     bench.check(is_punctual && frames.len() > 5, format!("{cob_id:03X} every {period:?}"))

@@ -4,34 +4,26 @@ use std::{
     fs,
     path::{Path, PathBuf},
     str::FromStr,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
 };
 
 use ::conformance::{
-    APPLICATION_LAYER, Bench, Broken, Group, Line, OWN, Report,
+    APPLICATION_LAYER, Bench, Command, Group, Line, OWN, Report,
     eds::Eds,
     lss::{Feature, LSS, Target},
     ms,
 };
 use anyhow::{Context, bail, ensure};
 use canopen_node::{
-    BitRate, Frame, NodeId,
+    BitRate, NodeId,
     lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID},
 };
 
-use crate::{
-    adapter::{Adapter, Mode, Place},
-    stop::Stop,
-};
+use crate::adapter::{Mode, Place};
 
 /// The wait for the boot-ups of all nodes.
 const BOOT: Duration = ms(3_000);
-/// The longest wait between two looks at Ctrl-C.
-const SLICE: Duration = ms(50);
 /// How late this computer may see a frame, besides the adapter's latency.
 const PAUSE: Duration = ms(20);
 
@@ -120,21 +112,19 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     adapter.open(bit_rate, Mode::Normal)?;
     let name = format!("{name} at {}", adapter.description());
     let latency = adapter.latency().unwrap_or_default().max(test.latency);
-    let is_interrupted = Arc::clone(&test.is_interrupted);
-    let devices = test.identity.serial_number.len().max(1);
-    let mut line = AdapterLine { adapter, latency, is_interrupted, start: Instant::now(), devices };
-    let (node, target) = match (test.subject, test.node) {
-        (Subject::Lss, node) => {
-            let devices = addresses(&mut line, test.identity)?;
-            let target = Target::new(devices, bit_rate, test.identity.without.clone());
-            (node.map_or(LSS_NODE, NodeId::get), target)
+    let node = test.node.map_or(LSS_NODE, NodeId::get);
+    let mut bench = Bench::new(Line::Adapter(&mut *adapter), &eds, node);
+    bench.jitter = latency + PAUSE;
+    bench.is_interrupted = Arc::clone(&test.is_interrupted);
+    match test.subject {
+        Subject::Lss => {
+            let devices = addresses(&mut bench, test.identity)?;
+            bench.lss = Target::new(devices, bit_rate, test.identity.without.clone());
         }
-        (_, Some(node)) => (node.get(), Target::default()),
-        (_, None) => (only_node(&mut line)?, Target::default()),
-    };
-    println!("node {node}");
-    let mut bench = Bench::new(&mut line, &eds, node);
-    bench.lss = target;
+        Subject::ApplicationLayer(_) if test.node.is_none() => bench.node = only_node(&mut bench)?,
+        Subject::ApplicationLayer(_) => {}
+    }
+    println!("node {}", bench.node);
     let mut reports = Vec::new();
     let has_case = |(groups, _): &&(&[Group], &str)| ::conformance::has_case(groups, test.cases);
     for (groups, suffix) in chapters.iter().filter(has_case) {
@@ -164,12 +154,11 @@ fn write(file: &PathBuf, content: &str) -> anyhow::Result<()> {
 }
 
 /// Resets all nodes; returns the node-ID of the only one that boots up.
-fn only_node(line: &mut AdapterLine) -> anyhow::Result<u8> {
-    let reset = Frame::new(0x000, &[0x81, 0]).expect("two bytes");
-    line.send(&reset)?;
-    let until = line.now() + BOOT;
+fn only_node(bench: &mut Bench) -> anyhow::Result<u8> {
+    bench.nmt_to(Command::ResetNode, 0)?;
+    let until = bench.now() + BOOT;
     let mut nodes = Vec::new();
-    while let Some((_, frame)) = line.receive(until)? {
+    while let Some((_, frame)) = bench.receive(until)? {
         if (0x701..=0x77F).contains(&frame.cob_id()) && frame.data() == [0] {
             nodes.push((frame.cob_id() & 0x7F) as u8);
         }
@@ -182,15 +171,15 @@ fn only_node(line: &mut AdapterLine) -> anyhow::Result<u8> {
 }
 
 /// The LSS addresses of the devices. What is not given is inquired, of the only device.
-fn addresses(line: &mut AdapterLine, known: &Identity) -> anyhow::Result<Vec<Address>> {
+fn addresses(bench: &mut Bench, known: &Identity) -> anyhow::Result<Vec<Address>> {
     let [first, ..] = known.serial_number[..] else {
-        return Ok(vec![inquired(line, known, None)?]);
+        return Ok(vec![inquired(bench, known, None)?]);
     };
     let address = match (known.vendor_id, known.product_code, known.revision_number) {
         (Some(vendor_id), Some(product_code), Some(revision_number)) => {
             Address { vendor_id, product_code, revision_number, serial_number: first }
         }
-        _ => inquired(line, known, Some(first))?,
+        _ => inquired(bench, known, Some(first))?,
     };
     let serial_numbers = known.serial_number.iter();
     Ok(serial_numbers.map(|number| Address { serial_number: *number, ..address }).collect())
@@ -198,35 +187,27 @@ fn addresses(line: &mut AdapterLine, known: &Identity) -> anyhow::Result<Vec<Add
 
 /// The LSS address of the only device, which must agree with what is known.
 fn inquired(
-    line: &mut AdapterLine,
+    bench: &mut Bench,
     known: &Identity,
     serial_number: Option<u32>,
 ) -> anyhow::Result<Address> {
-    let request = |command, mode| {
-        let frame = Frame::new(REQUEST_COB_ID, &[command, mode, 0, 0, 0, 0, 0, 0]);
-        frame.expect("eight bytes")
+    let request = |bench: &mut Bench, command, mode| {
+        bench.send(REQUEST_COB_ID, &[command, mode, 0, 0, 0, 0, 0, 0])
     };
-    line.send(&request(0x04, 1))?;
+    request(bench, 0x04, 1)?;
     // Some devices lose a request that follows too closely.
-    let until = line.now() + ms(50);
-    while line.receive(until)?.is_some() {}
+    bench.pass(ms(50))?;
     let known = [known.vendor_id, known.product_code, known.revision_number, serial_number];
     let mut address = [0; 4];
     for ((part, known), command) in address.iter_mut().zip(known).zip(0x5A..) {
-        line.send(&request(command, 0))?;
-        let until = line.now() + INQUIRY;
-        let answer = loop {
-            let Some((_, frame)) = line.receive(until)? else { break None };
-            match *frame.data() {
-                [first, a, b, c, d, ..]
-                    if frame.cob_id() == RESPONSE_COB_ID && first == command =>
-                {
-                    break Some(u32::from_le_bytes([a, b, c, d]));
-                }
-                _ => {}
-            }
-        };
-        let number = answer.or(known);
+        request(bench, command, 0)?;
+        let answer = bench.wait_for(INQUIRY, |frame| {
+            frame.cob_id() == RESPONSE_COB_ID
+                && frame.data().len() >= 5
+                && frame.data()[0] == command
+        })?;
+        let bytes = answer.map(|(_, frame)| frame.padded_data());
+        let number = bytes.map(|[_, a, b, c, d, ..]| u32::from_le_bytes([a, b, c, d])).or(known);
         *part = number.with_context(|| format!("{command:02X} is not answered"))?;
         ensure!(
             known.is_none_or(|known| known == *part),
@@ -234,70 +215,6 @@ fn inquired(
             known.unwrap_or_default()
         );
     }
-    line.send(&request(0x04, 0))?;
+    request(bench, 0x04, 0)?;
     Ok(address.into())
-}
-
-/// An adapter as the cases see it, on the computer's clock.
-struct AdapterLine {
-    adapter: Box<dyn Adapter>,
-    latency: Duration,
-    is_interrupted: Arc<AtomicBool>,
-    start: Instant,
-    /// The number of devices on the bus.
-    devices: usize,
-}
-
-fn broken(stop: Stop) -> Broken {
-    Broken(stop.to_string())
-}
-
-impl Line for AdapterLine {
-    fn now(&self) -> Duration {
-        self.start.elapsed()
-    }
-
-    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
-        self.adapter.send(frame).map_err(broken)
-    }
-
-    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
-        loop {
-            if self.is_interrupted.load(Ordering::Relaxed) {
-                return Err(broken(Stop::Interrupted));
-            }
-            let wait = until.saturating_sub(self.now()).min(SLICE);
-            if let Some(received) = self.adapter.receive(wait).map_err(broken)? {
-                let time = received.here.saturating_duration_since(self.start);
-                return Ok(Some((time, received.frame)));
-            }
-            if self.now() >= until {
-                return Ok(None);
-            }
-        }
-    }
-
-    fn jitter(&self) -> Duration {
-        self.latency + PAUSE
-    }
-
-    fn set_bit_rate(&mut self, rate: BitRate) -> Result<bool, Broken> {
-        if self.adapter.fixed_rate().is_some() {
-            return Ok(false);
-        }
-        self.adapter.open(rate, Mode::Normal).map_err(broken)?;
-        Ok(true)
-    }
-
-    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Broken> {
-        self.adapter.send_remote(cob_id, length).map_err(broken)
-    }
-
-    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Broken> {
-        self.adapter.send_extended(id, data).map_err(broken)
-    }
-
-    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
-        Ok(count == self.devices)
-    }
 }

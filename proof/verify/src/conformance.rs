@@ -7,12 +7,16 @@ use std::{
 };
 
 use ::conformance::{
-    APPLICATION_LAYER, Bench, Broken, Group, Line, OWN, Report,
+    APPLICATION_LAYER, Bench, Group, Lab, Line, OWN, Report,
     eds::Eds,
     index,
     lss::{Feature, LSS, Target},
 };
 use anyhow::{Context, ensure};
+use can_bus::{
+    adapter::{self, Mode, Received},
+    stop::Stop,
+};
 use canopen_node::{BitRate, Frame, NodeId, Settings, lss::Address, nmt};
 use canopen_stm32f4::chip;
 use emulator::{
@@ -266,7 +270,7 @@ fn test(
 ) -> anyhow::Result<Report> {
     let boards = if chapter == Chapter::Lss { arguments.boards.into() } else { 1 };
     let mut bus = Bus::new(product, boards);
-    let mut bench = Bench::new(&mut bus, &product.eds, NODE);
+    let mut bench = Bench::new(Line::Lab(&mut bus), &product.eds, NODE);
     bench.lss = Target::new(addresses(product, boards), BIT_RATE, arguments.without.clone());
     let mut report = Report::new(format!("{}, {}", product.name, chapter.name()));
     println!("{}", report.device);
@@ -313,6 +317,7 @@ struct Bus {
     attached: usize,
     /// The commands NMT reset node that a board may have received.
     resets: usize,
+    start: Instant,
 }
 
 impl Bus {
@@ -331,24 +336,26 @@ impl Bus {
             network.add_board(board);
         }
         network.run_for(boards::FIRST_START);
-        Self { network, adapter, attached: boards, resets: 0 }
+        Self { network, adapter, attached: boards, resets: 0, start: Instant::now() }
     }
 
     /// Ends the run if a board has misused its chip, is locked up, or has restarted unasked.
-    fn check(&self) -> Result<(), Broken> {
+    fn check(&self) -> Result<(), Stop> {
         self.network.boards().iter().try_for_each(|board| self.check_board(board))
     }
 
-    fn check_board(&self, board: &Board) -> Result<(), Broken> {
+    fn check_board(&self, board: &Board) -> Result<(), Stop> {
         let causes = board.resets().iter().map(|(_, cause)| *cause);
         let others = causes.filter(|cause| *cause != ResetCause::PowerOn).collect::<Vec<_>>();
         let is_asked = others.len() <= self.resets
             && others.iter().all(|cause| *cause == ResetCause::Software);
         match (board.misuse(), board.lockup()) {
-            (Some(finding), _) => Err(Broken(format!("the board misuses its chip: {finding}"))),
-            (None, Some(lockup)) => Err(Broken(format!("the board is locked up: {lockup:?}"))),
+            (Some(finding), _) => {
+                Err(Stop::Bench(format!("the board misuses its chip: {finding}")))
+            }
+            (None, Some(lockup)) => Err(Stop::Bench(format!("the board is locked up: {lockup:?}"))),
             (None, None) if is_asked => Ok(()),
-            (None, None) => Err(Broken(format!("unexpected resets of the board: {others:?}"))),
+            (None, None) => Err(Stop::Bench(format!("unexpected resets of the board: {others:?}"))),
         }
     }
 }
@@ -357,79 +364,80 @@ fn duration(time: Time) -> Duration {
     Duration::from_nanos(time.as_ns())
 }
 
-impl Line for Bus {
-    fn now(&self) -> Duration {
-        duration(self.network.now())
+impl adapter::Adapter for Bus {
+    fn open(&mut self, rate: BitRate, _: Mode) -> Result<(), Stop> {
+        self.network.adapter_mut(self.adapter).set_bit_rate(bit_per_s(rate));
+        Ok(())
     }
 
-    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+    fn close(&mut self) -> Result<(), Stop> {
+        self.network.adapter_mut(self.adapter).close();
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         self.network.send(self.adapter, on_the_wire(frame));
         let is_reset = frame.cob_id() == nmt::COMMAND_COB_ID && frame.data().first() == Some(&0x81);
         self.resets += usize::from(is_reset);
         Ok(())
     }
 
-    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
-        loop {
-            let left = until.saturating_sub(self.now());
-            let left = Time::from_ns(left.as_nanos() as u64);
-            let received = self.network.run_until_received(self.adapter, left);
-            self.check()?;
-            let Some((time, frame)) = received else { return Ok(None) };
-            if let Some(frame) = from_the_wire(&frame) {
-                return Ok(Some((duration(time), frame)));
-            }
-        }
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let wait = Time::from_ns(wait.as_nanos() as u64);
+        let received = self.network.run_until_received(self.adapter, wait);
+        self.check()?;
+        Ok(received.and_then(|(time, frame)| {
+            let (frame, at) = (from_the_wire(&frame)?, duration(time));
+            Some(Received { frame, at, here: self.start + at })
+        }))
     }
 
-    fn jitter(&self) -> Duration {
-        Duration::from_millis(1)
-    }
-
-    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Broken> {
+    fn send_remote(&mut self, cob_id: u16, length: u8) -> Result<bool, Stop> {
         self.network.send(self.adapter, can::Frame::remote(Id::Standard(cob_id), length));
         Ok(true)
     }
 
-    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Broken> {
+    fn send_extended(&mut self, id: u32, data: &[u8]) -> Result<bool, Stop> {
         self.network.send(self.adapter, can::Frame::data(Id::Extended(id), data));
         Ok(true)
     }
 
-    fn set_bit_rate(&mut self, rate: BitRate) -> Result<bool, Broken> {
-        self.network.adapter_mut(self.adapter).set_bit_rate(bit_per_s(rate));
-        Ok(true)
+    fn now(&self) -> Instant {
+        self.start + duration(self.network.now())
     }
 
-    fn power(&mut self, is_on: bool) -> Result<bool, Broken> {
+    fn description(&self) -> String {
+        "emulated boards".into()
+    }
+}
+
+impl Lab for Bus {
+    fn power(&mut self, is_on: bool) {
         for board in 0..self.attached {
             match is_on {
                 true => self.network.power_on(board),
                 false => self.network.power_off(board),
             }
         }
-        Ok(true)
     }
 
-    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
+    fn attach(&mut self, count: usize) {
         let boards = self.network.boards().len();
-        if count != self.attached && count <= boards {
+        if count != self.attached {
             (count..boards).for_each(|board| self.network.power_off(board));
             (0..count).for_each(|board| self.network.power_on(board));
             self.attached = count;
             self.network.run_for(boards::FIRST_START);
         }
-        Ok(count <= boards)
     }
 
-    fn unsent(&mut self) -> Result<Option<usize>, Broken> {
-        Ok(Some(self.network.adapter_mut(self.adapter).unsent()))
+    fn unsent(&mut self) -> usize {
+        self.network.adapter_mut(self.adapter).unsent()
     }
 
-    fn fail_stores(&mut self, fails: bool) -> Result<bool, Broken> {
+    fn fail_stores(&mut self, fails: bool) {
         let failing = if fails { u32::MAX } else { 0 };
         self.network.board(0).chip().flash_mut().fail_programs(failing);
-        Ok(true)
     }
 }
 

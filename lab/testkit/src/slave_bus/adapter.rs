@@ -7,7 +7,7 @@ use std::{
 };
 
 use can_bus::{
-    adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
+    adapter::{Adapter, Mode, Received, Status},
     stop::Stop,
 };
 use canopen_node::{Application, BitRate, Frame, application::NoApplication};
@@ -83,10 +83,6 @@ impl<A: Application + Clone> Adapter for BusAdapter<A> {
 
     fn now(&self) -> Instant {
         self.instant(self.bus.borrow().now)
-    }
-
-    fn clock(&self) -> &'static str {
-        HOST_CLOCK
     }
 
     fn latency(&self) -> Option<Duration> {

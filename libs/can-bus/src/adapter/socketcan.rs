@@ -203,10 +203,6 @@ mod linux {
             "the kernel's time stamps"
         }
 
-        fn latency(&self) -> Option<Duration> {
-            None
-        }
-
         fn description(&self) -> String {
             format!("socketcan:{}", self.interface)
         }

@@ -59,7 +59,7 @@ const CASES: &[Case] = &[
             wait_until(bench, t0 + ms(2))?;
             silent_until(bench, t0 + ms(1_500))?;
             bench.set_rate(new)?;
-            silent_until(bench, t0 + ms(3_000) - ms(1) - bench.jitter())
+            silent_until(bench, t0 + ms(3_000) - ms(1) - bench.jitter)
         })
     }),
     Case::new("The switch changes neither the LSS state nor the NMT state", |bench| {
@@ -122,7 +122,7 @@ pub fn follow(bench: &mut Bench, t0: Duration, delay: u16, new: BitRate) -> Step
     let delay = ms(delay.into());
     wait_until(bench, t0 + delay + ms(1))?;
     bench.set_rate(new)?;
-    let margin = ms(2) + 2 * bench.jitter();
+    let margin = ms(2) + 2 * bench.jitter;
     wait_until(bench, t0 + 2 * delay + margin)
 }
 
@@ -130,11 +130,7 @@ pub fn follow(bench: &mut Bench, t0: Duration, delay: u16, new: BitRate) -> Step
 pub fn needs_switch(bench: &mut Bench) -> Step {
     bench.needs_feature(Feature::BitTiming)?;
     bench.needs_feature(Feature::Activate)?;
-    let rate = bench.lss.rate;
-    match bench.line().set_bit_rate(rate)? {
-        true => Ok(()),
-        false => bench.skip("this line cannot change its bit rate"),
-    }
+    bench.needs_bit_rates()
 }
 
 /// Switches the device to another bit rate; `body` gets the end of the request and that rate. Then it is brought back.
@@ -180,22 +176,21 @@ fn table(bench: &mut Bench) -> Step {
 /// Before the delay has passed the device acknowledges at the old bit rate, afterwards at the new one.
 fn first_delay(bench: &mut Bench) -> Step {
     const NO_REQUEST: &[u8] = &[0];
-    if bench.line().unsent()?.is_none() {
-        return bench.skip("this line does not say whether a frame was acknowledged");
-    }
+    const UNSENT: &str = "say whether a frame was acknowledged";
+    bench.lab(UNSENT)?;
     switched(bench, 100, |bench, t0, new| {
         let switch = t0 + ms(100);
         let early = switch - ms(1) - frame_time(bench.lss.now);
         wait_until(bench, early)?;
         bench.request_at_once(NO_REQUEST)?;
         wait_until(bench, switch - ms(1) + Duration::from_micros(100))?;
-        let is_sent = bench.line().unsent()? == Some(0);
+        let is_sent = bench.lab(UNSENT)?.unsent() == 0;
         bench.check(is_sent, "an acknowledge at the old bit rate, 1 ms before the switch")?;
         wait_until(bench, switch + ms(1))?;
         bench.set_rate(new)?;
         bench.request_at_once(NO_REQUEST)?;
         wait_until(bench, switch + ms(1) + 2 * frame_time(new))?;
-        let is_sent = bench.line().unsent()? == Some(0);
+        let is_sent = bench.lab(UNSENT)?.unsent() == 0;
         bench.check(is_sent, "an acknowledge at the new bit rate, 1 ms after the switch")
     })
 }
@@ -208,11 +203,11 @@ fn second_delay(bench: &mut Bench, delay: u16) -> Step {
         let end = t0 + 2 * ms(delay.into());
         wait_until(bench, end.saturating_sub(ms(20)))?;
         // A question that comes too early, the next one, and its answer.
-        let latest = end + ms(1) + 2 * frame_time(new) + bench.jitter();
+        let latest = end + ms(1) + 2 * frame_time(new) + bench.jitter;
         while bench.now() < latest {
             bench.request_at_once(&[0x5E])?;
             if let Some((time, _)) = bench.wait_for(ms(1), super::is_answer)? {
-                let is_late_enough = time + bench.jitter() >= end;
+                let is_late_enough = time + bench.jitter >= end;
                 bench.check(is_late_enough, "no answer before twice the delay has passed")?;
                 return bench.check(time <= latest, "an answer as soon as it has passed");
             }

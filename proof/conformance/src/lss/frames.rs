@@ -60,7 +60,7 @@ fn unknown(bench: &mut Bench) -> Step {
         bench.request(&[0x04, mode])?;
         for command in (0..=0xFF).filter(|command| !is_service(command)) {
             bench.request(&[command, 1 - mode])?;
-            let span = ms(10) + bench.jitter();
+            let span = ms(10) + bench.jitter;
             let answer = bench.lss_answer(span)?;
             bench.check(answer.is_none(), format!("{command:02X} is not answered in {state}"))?;
         }

@@ -77,7 +77,7 @@ const CASES: &[Case] = &[
         activate(bench, 150)?;
         bench.pass(ms(140))?;
         bench.play("5E = -")?;
-        bench.pass(ms(200) + 2 * bench.jitter())?;
+        bench.pass(ms(200) + 2 * bench.jitter)?;
         bench.play("5E = 5E NN")
     }),
     Case::new("LSS requests in both delays are neither answered nor obeyed", |bench| {
@@ -203,7 +203,7 @@ fn measure(bench: &mut Bench, request: &[u8], limit: u64) -> Step {
     let begin = bench.now();
     bench.request_at_once(request)?;
     let answer = bench.wait_for(ms(1_000), is_answer)?;
-    let latest = begin + frames + ms(limit) + bench.jitter();
+    let latest = begin + frames + ms(limit) + bench.jitter;
     let is_in_time = answer.is_some_and(|(time, _)| time <= latest);
     bench.check(is_in_time, format!("an answer to {:02X} within {limit} ms", request[0]))
 }

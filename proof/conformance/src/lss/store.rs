@@ -54,18 +54,18 @@ const CASES: &[Case] = &[
 
 /// A node-ID that no case has stored otherwise.
 const OTHER: u8 = 0x53;
+/// What only a laboratory can do.
+const FAIL: &str = "make a store fail";
 
 fn failing(bench: &mut Bench) -> Step {
-    if !bench.line().fail_stores(false)? {
-        return bench.skip("this line cannot make a store fail");
-    }
+    bench.lab(FAIL)?;
     with_stored_values(bench, |bench| {
         let stored = bench.reach()?;
         bench.lss(&[0x11, OTHER], &[0x11])?;
         bench.note("the storage medium fails from here");
-        bench.line().fail_stores(true)?;
+        bench.lab(FAIL)?.fail_stores(true);
         let outcome = bench.lss(&[0x17], &[0x17, 2]);
-        bench.line().fail_stores(false)?;
+        bench.lab(FAIL)?.fail_stores(false);
         outcome?;
         bench.lss(&[0x5E], &[0x5E, stored])?;
         bench.restart()?;

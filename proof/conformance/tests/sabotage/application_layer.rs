@@ -1,11 +1,18 @@
 //! The cases of CiA 301 on a node in the process: all hold, and with a line that breaks a rule, or with a wrong data
 //! sheet, those that prove it fail.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
 use crate::{has_failed, numbers};
-use canopen_node::{Action, Frame, Node};
-use conformance::{APPLICATION_LAYER, Bench, Broken, Group, Line, OWN, Outcome, Report, eds::Eds};
+use can_bus::{
+    adapter::{Adapter, Mode, Received},
+    stop::Stop,
+};
+use canopen_node::{Action, BitRate, Frame, Node};
+use conformance::{APPLICATION_LAYER, Bench, Group, Line, OWN, Outcome, Report, eds::Eds};
 use example_io::application::Application;
 use testkit::{
     eds::{DataSheet, Product},
@@ -24,7 +31,8 @@ struct Saboteur {
     rig: NodeRig<Application>,
     to_node: Change,
     of_node: Change,
-    received: VecDeque<(Duration, Frame)>,
+    received: VecDeque<Received>,
+    start: Instant,
 }
 
 impl Saboteur {
@@ -33,18 +41,23 @@ impl Saboteur {
             if let Action::Transmit(frame) = action
                 && let Some(frame) = (self.of_node)(frame)
             {
-                self.received.push_back((Duration::from_micros(us), frame));
+                let at = Duration::from_micros(us);
+                self.received.push_back(Received { frame, at, here: self.start + at });
             }
         }
     }
 }
 
-impl Line for Saboteur {
-    fn now(&self) -> Duration {
-        Duration::from_micros(self.rig.now())
+impl Adapter for Saboteur {
+    fn open(&mut self, _: BitRate, _: Mode) -> Result<(), Stop> {
+        Ok(())
     }
 
-    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+    fn close(&mut self) -> Result<(), Stop> {
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         if let Some(frame) = (self.to_node)(*frame) {
             self.rig.receive(&frame);
             self.take_sent();
@@ -52,7 +65,8 @@ impl Line for Saboteur {
         Ok(())
     }
 
-    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let until = self.now() + wait;
         while self.received.is_empty() && self.now() < until {
             let left = (until - self.now()).as_micros() as u64;
             let next = self.rig.us_to_deadline().unwrap_or(left);
@@ -62,8 +76,12 @@ impl Line for Saboteur {
         Ok(self.received.pop_front())
     }
 
-    fn jitter(&self) -> Duration {
-        Duration::from_millis(1)
+    fn now(&self) -> Instant {
+        self.start + Duration::from_micros(self.rig.now())
+    }
+
+    fn description(&self) -> String {
+        String::new()
     }
 }
 
@@ -85,8 +103,9 @@ fn outcomes(
     let device = device(ADDRESS).with_defaults(defaults(NODE));
     let eds = Eds::parse(sheet);
     let rig = NodeRig::with_application(device, BoardFlash::blank(0), 0, Application::new());
-    let mut line = Saboteur { rig, to_node, of_node, received: VecDeque::new() };
-    let mut bench = Bench::new(&mut line, &eds, NODE);
+    let received = VecDeque::new();
+    let mut line = Saboteur { rig, to_node, of_node, received, start: Instant::now() };
+    let mut bench = Bench::new(Line::Adapter(&mut line), &eds, NODE);
     let mut report = Report::new("node");
     let wanted: Vec<_> = wanted.iter().map(|case| (*case).to_owned()).collect();
     // A device that never boots up ends the run early.

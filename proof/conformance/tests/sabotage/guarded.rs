@@ -3,11 +3,15 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
-use canopen_node::Frame;
-use conformance::{APPLICATION_LAYER, Address, Bench, Broken, Line, Outcome, Report, eds::Eds, ms};
+use can_bus::{
+    adapter::{Adapter, Mode, Received},
+    stop::Stop,
+};
+use canopen_node::{BitRate, Frame};
+use conformance::{APPLICATION_LAYER, Address, Bench, Line, Outcome, Report, eds::Eds, ms};
 
 use crate::{has_failed, numbers};
 
@@ -53,6 +57,7 @@ enum Fault {
 }
 
 struct Device {
+    start: Instant,
     now: Duration,
     objects: Objects,
     stored: Objects,
@@ -80,6 +85,7 @@ fn defaults() -> Objects {
 impl Device {
     fn new(fault: Fault) -> Self {
         Self {
+            start: Instant::now(),
             now: Duration::ZERO,
             objects: defaults(),
             stored: defaults(),
@@ -234,12 +240,16 @@ impl Device {
     }
 }
 
-impl Line for Device {
-    fn now(&self) -> Duration {
-        self.now
+impl Adapter for Device {
+    fn open(&mut self, _: BitRate, _: Mode) -> Result<(), Stop> {
+        Ok(())
     }
 
-    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+    fn close(&mut self) -> Result<(), Stop> {
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         match (frame.cob_id(), frame.data()) {
             (0x000, [0x81 | 0x82, _]) => self.reset(),
             (0x000, [1, _]) => self.state = OPERATIONAL,
@@ -252,19 +262,25 @@ impl Line for Device {
         Ok(())
     }
 
-    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let until = self.now + wait;
         while self.sent.is_empty() && self.now < until {
             self.now += ms(1);
             self.poll();
         }
-        Ok(self.sent.pop_front().map(|frame| (self.now, frame)))
+        let (at, here) = (self.now, self.now());
+        Ok(self.sent.pop_front().map(|frame| Received { frame, at, here }))
     }
 
-    fn jitter(&self) -> Duration {
-        ms(1)
+    fn now(&self) -> Instant {
+        self.start + self.now
     }
 
-    fn send_remote(&mut self, cob_id: u16, _: u8) -> Result<bool, Broken> {
+    fn description(&self) -> String {
+        String::new()
+    }
+
+    fn send_remote(&mut self, cob_id: u16, _: u8) -> Result<bool, Stop> {
         let is_guarded = self.value(0x1017) == 0 || self.fault == Fault::Rules;
         if self.fault == Fault::Talkative {
             self.transmit(cob_id, &[0]);
@@ -329,7 +345,7 @@ fn outcomes(fault: Fault) -> impl Iterator<Item = (String, Outcome)> {
     };
     let eds = Eds::parse(&OBJECTS.map(object).concat());
     let mut device = Device::new(fault);
-    let mut bench = Bench::new(&mut device, &eds, NODE);
+    let mut bench = Bench::new(Line::Adapter(&mut device), &eds, NODE);
     let mut report = Report::new("device");
     let wanted = WANTED.map(str::to_owned);
     conformance::run(&mut bench, APPLICATION_LAYER, &wanted, &mut report, |_| ()).expect("a line");

@@ -5,12 +5,16 @@ mod rules;
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
+use can_bus::{
+    adapter::{Adapter, Mode, Received},
+    stop::Stop,
+};
 use canopen_node::{BitRate, Frame, lss::Address};
 use conformance::{
-    Bench, Broken, Line, Outcome, Report,
+    Bench, Lab, Line, Outcome, Report,
     eds::Eds,
     lss::{Feature, LSS, Target},
 };
@@ -171,6 +175,7 @@ struct Boards {
     rule: Rule,
     memory: Memory,
     attached: usize,
+    start: Instant,
 }
 
 impl Boards {
@@ -183,7 +188,8 @@ impl Boards {
         });
         let mut bus = SlaveBus::new(rigs, Random::from_seed(1));
         bus.open(RATE, true);
-        Self { bus, rate: RATE, rule, memory: Memory::default(), attached: SERIAL_NUMBERS.len() }
+        let (memory, attached) = (Memory::default(), SERIAL_NUMBERS.len());
+        Self { bus, rate: RATE, rule, memory, attached, start: Instant::now() }
     }
 
     fn happen(&mut self, boards: std::ops::Range<usize>, happening: Happening) {
@@ -198,12 +204,18 @@ impl Boards {
     }
 }
 
-impl Line for Boards {
-    fn now(&self) -> Duration {
-        Duration::from_micros(self.bus.now())
+impl Adapter for Boards {
+    fn open(&mut self, rate: BitRate, _: Mode) -> Result<(), Stop> {
+        self.rate = rate;
+        self.bus.open(rate, true);
+        Ok(())
     }
 
-    fn send(&mut self, frame: &Frame) -> Result<(), Broken> {
+    fn close(&mut self) -> Result<(), Stop> {
+        Ok(())
+    }
+
+    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         self.remember();
         let frames = (self.rule.to_device)(&mut self.memory, *frame);
         self.memory.note(frame);
@@ -211,80 +223,78 @@ impl Line for Boards {
         Ok(())
     }
 
-    fn receive(&mut self, until: Duration) -> Result<Option<(Duration, Frame)>, Broken> {
-        let until = until.as_micros() as u64;
+    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
+        let start = self.start;
+        let received = |(us, frame)| {
+            let at = Duration::from_micros(us);
+            Received { frame, at, here: start + at }
+        };
+        let until = self.bus.now() + wait.as_nanos().div_ceil(1_000) as u64;
         loop {
             let added = self.memory.added.front().map_or(u64::MAX, |(at, _)| *at);
             let Some((at, frame)) = self.bus.run(until.min(added)) else {
                 let added = self.memory.added.pop_front_if(|(at, _)| *at <= until);
-                return Ok(added.map(|(at, frame)| (Duration::from_micros(at), frame)));
+                return Ok(added.map(received));
             };
             self.remember();
             if frame.cob_id() == 0x7E4 && frame.data()[0] == 0x44 {
                 self.memory.is_configuring = true;
             }
             if let Some(frame) = (self.rule.of_device)(&mut self.memory, frame) {
-                return Ok(Some((Duration::from_micros(at), frame)));
+                return Ok(Some(received((at, frame))));
             }
         }
     }
 
-    fn jitter(&self) -> Duration {
-        Duration::from_millis(1)
+    fn now(&self) -> Instant {
+        self.start + Duration::from_micros(self.bus.now())
     }
 
-    fn send_remote(&mut self, cob_id: u16, _: u8) -> Result<bool, Broken> {
+    fn description(&self) -> String {
+        String::new()
+    }
+
+    fn send_remote(&mut self, cob_id: u16, _: u8) -> Result<bool, Stop> {
         if self.rule.takes_all && cob_id == 0x7E5 {
             self.bus.send(request(&[0x04, 1]));
         }
         Ok(true)
     }
 
-    fn send_extended(&mut self, _: u32, data: &[u8]) -> Result<bool, Broken> {
+    fn send_extended(&mut self, _: u32, data: &[u8]) -> Result<bool, Stop> {
         if self.rule.takes_all {
             self.bus.send(request(data));
         }
         Ok(true)
     }
+}
 
-    fn set_bit_rate(&mut self, rate: BitRate) -> Result<bool, Broken> {
-        self.rate = rate;
-        self.bus.open(rate, true);
-        Ok(true)
-    }
-
-    fn power(&mut self, is_on: bool) -> Result<bool, Broken> {
+impl Lab for Boards {
+    fn power(&mut self, is_on: bool) {
         let happening = if is_on { Happening::PowerOn } else { Happening::PowerOff };
         self.happen(0..self.attached, happening);
-        Ok(true)
     }
 
-    fn attach(&mut self, count: usize) -> Result<bool, Broken> {
+    fn attach(&mut self, count: usize) {
         if count != self.attached {
             self.happen(count..SERIAL_NUMBERS.len(), Happening::PowerOff);
             self.happen(0..count, Happening::PowerOn);
             self.attached = count;
             self.bus.pass_us(START_US);
         }
-        Ok(true)
     }
 
-    fn unsent(&mut self) -> Result<Option<usize>, Broken> {
+    fn unsent(&mut self) -> usize {
         // Who is at this bit rate acknowledges, also in the silence of a switch.
         let slaves = self.bus.slaves.iter().filter(|slave| slave.is_powered);
         let mut slaves = slaves.map(|slave| &slave.rig);
         let acknowledges = |rig: &NodeRig| rig.bit_rate() == self.rate && !rig.node.is_listening();
-        Ok(Some(usize::from(!slaves.any(acknowledges))))
+        usize::from(!slaves.any(acknowledges))
     }
 
-    fn fail_stores(&mut self, fails: bool) -> Result<bool, Broken> {
+    fn fail_stores(&mut self, fails: bool) {
         let flash = &self.bus.slaves[0].rig.flash;
-        if fails {
-            flash.fail(Operation::Write)
-        } else {
-            flash.repair()
-        }
-        Ok(true)
+        if fails { flash.fail(Operation::Write) } else { flash.repair() }
     }
 }
 
@@ -293,7 +303,7 @@ fn outcomes(rule: Rule, wanted: &[String]) -> Vec<(String, Outcome)> {
     let mut line = Boards::new(rule);
     line.bus.pass_us(START_US);
     let eds = Eds::default();
-    let mut bench = Bench::new(&mut line, &eds, NODE);
+    let mut bench = Bench::new(Line::Lab(&mut line), &eds, NODE);
     let devices = SERIAL_NUMBERS.map(|number| Address::from(address(number))).to_vec();
     bench.lss = Target::new(devices, RATE, vec![Feature::Detect, Feature::Rescue]);
     let mut report = Report::new("five nodes");

@@ -11,7 +11,7 @@ use std::{
 };
 
 use can_bus::{
-    adapter::{Adapter, HOST_CLOCK, Mode, Received, Status},
+    adapter::{Adapter, Mode, Received, Status},
     bus::Bus,
     person::Person,
     stop::Stop,
@@ -298,14 +298,6 @@ impl Adapter for Boards {
 
     fn now(&self) -> Instant {
         self.start + Duration::from_micros(self.rig.borrow().network.now().as_us())
-    }
-
-    fn clock(&self) -> &'static str {
-        HOST_CLOCK
-    }
-
-    fn latency(&self) -> Option<Duration> {
-        None
     }
 
     fn description(&self) -> String {

@@ -306,10 +306,6 @@ macro_rules! forward {
             self.adapter.now()
         }
 
-        fn clock(&self) -> &'static str {
-            self.adapter.clock()
-        }
-
         fn latency(&self) -> Option<Duration> {
             self.adapter.latency()
         }
