@@ -1,7 +1,8 @@
 //! Your application: the objects of your product beside the node's own, and their behaviour. Edit this file.
 //!
-//! An object takes three lines, here a brightness of 0 to 100 percent. `cargo eds` adds it to the electronic data sheet. [`objects!`] explains the other types, accesses and
-//! options; `docs/product.md` shows how a task reads and writes the values.
+//! An object takes three lines, here a brightness of 0 to 100 percent. `cargo eds` adds it to the electronic data sheet.
+//! [`objects!`] explains the other types, accesses and options; `docs/product.md` shows how a task reads and writes the
+//! values.
 
 use canopen_node::objects;
 
