@@ -6,7 +6,7 @@ use canopen_node::{
     BusEvent,
     application::{self, Dictionary},
     lss::Address,
-    object_dictionary::{Access, DataType, Entry, TABLE},
+    object_dictionary::{DataType, Entry, TABLE},
 };
 use testkit::{
     flash::BoardFlash,
@@ -19,7 +19,6 @@ use crate::process_data::Machine;
 
 const DOES_NOT_EXIST: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
-const READ_ONLY: u32 = 0x0601_0002;
 const INVALID_VALUE: u32 = 0x0609_0030;
 const NO_DATA: u32 = 0x0800_0024;
 
@@ -173,19 +172,6 @@ fn the_identity_object_is_the_lss_address() {
         }
         assert_eq!(board.number(0x1018, 1), address.vendor_id);
         assert_eq!(board.number(0x1018, 4), address.serial_number);
-    }
-}
-
-#[test]
-fn every_object_that_is_not_read_write_refuses_downloads_of_any_length() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for entry in TABLE.iter().filter(|entry| entry.access != Access::ReadWrite) {
-        let before = board.upload(entry.index, entry.sub_index);
-        for len in 1..=4 {
-            let outcome = board.download(entry.index, entry.sub_index, &[0x55; 4][..len]);
-            assert_eq!(outcome, Err(READ_ONLY), "{entry:?}");
-        }
-        assert_eq!(board.upload(entry.index, entry.sub_index), before);
     }
 }
 
