@@ -34,10 +34,11 @@ mod check;
 mod declaration;
 pub(crate) mod event;
 mod field;
+pub(crate) mod process_data;
 mod text;
 mod value;
 
-pub use check::{check, check_communication, check_count, check_methods, fail};
+pub use check::{check, check_count, check_methods, fail};
 pub use declaration::{Row, count, firsts, longest, table};
 pub use event::Event;
 pub use field::{FieldType, Plain, ValueOf, bits, check_limits, len, read};
@@ -56,9 +57,9 @@ use crate::{
     count::{Count, Declares},
     nmt::ErrorBehaviour,
     object_dictionary::{Description, Entry},
-    pdo::declaration::{Rpdo, Tpdo},
     sdo::{self, Abort},
 };
+use process_data::{Rpdo, Tpdo};
 
 /// The objects of a product: what [`objects!`](crate::objects) implements. By default there are none.
 pub trait Dictionary {

@@ -2,7 +2,7 @@
 
 use crate::{
     Application,
-    heartbeat::consumer::{self, Producer},
+    heartbeat::{self, Producer},
     numbers::{Element, Numbers, sealed::Sealed},
     object_dictionary::Entry,
     pdo::{self, Pdo},
@@ -26,13 +26,25 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize> Numbers
     const TABLES: [&'static [Entry]; 7] = {
         let [cob_id, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings] =
             pdo::Tables::<TPDOS, RPDOS>::ALL;
-        let producers = consumer::Rows::<PRODUCERS>::ALL;
+        let producers = heartbeat::Rows::<PRODUCERS>::ALL;
         [cob_id, producers, overflow, rpdos, rpdo_mappings, tpdos, tpdo_mappings]
     };
 
     type Tpdos<T: Element> = [T; TPDOS];
     type Rpdos<T: Element> = [T; RPDOS];
     type Producers<T: Element> = [T; PRODUCERS];
+}
+
+impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
+    Count<TPDOS, RPDOS, PRODUCERS>
+{
+    /// Checks what an application declares beside its objects; panics, at compile time, with what is wrong.
+    #[doc(hidden)]
+    pub const fn check<A: Application>() {
+        let _ = pdo::declared_tpdos::<A, TPDOS>();
+        let _ = pdo::declared_rpdos::<A, RPDOS>();
+        let _ = heartbeat::declared::<A, PRODUCERS>();
+    }
 }
 
 /// The numbers with the PDOs that an application declares.
@@ -52,5 +64,5 @@ impl<A: Application, const TPDOS: usize, const RPDOS: usize, const PRODUCERS: us
 {
     const DECLARED_TPDOS: [Pdo; TPDOS] = pdo::declared_tpdos::<A, TPDOS>();
     const DECLARED_RPDOS: [Pdo; RPDOS] = pdo::declared_rpdos::<A, RPDOS>();
-    const DECLARED_PRODUCERS: [Producer; PRODUCERS] = consumer::declared::<A, PRODUCERS>();
+    const DECLARED_PRODUCERS: [Producer; PRODUCERS] = heartbeat::declared::<A, PRODUCERS>();
 }

@@ -1,5 +1,6 @@
 //! NMT (CiA 301): the NMT state, the commands that change it, boot-up and heartbeat.
 
+mod producer;
 pub(crate) mod slave;
 
 #[doc(inline)]

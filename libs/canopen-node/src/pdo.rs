@@ -2,7 +2,6 @@
 //!
 //! A product declares its PDOs in [`Application::TPDOS`] and [`Application::RPDOS`].
 
-pub(crate) mod declaration;
 mod mapping;
 mod parameters;
 mod rpdo;
@@ -10,7 +9,7 @@ mod stored;
 mod tables;
 mod tpdo;
 
-pub use declaration::{Rpdo, Tpdo};
+pub use crate::application::process_data::{Rpdo, Tpdo};
 pub(crate) use parameters::Pdo;
 pub(crate) use tables::{Tables, describe};
 

@@ -1,11 +1,8 @@
 //! The checks of a declaration at compile time.
 
 use crate::{
-    Application,
     declaration_error::DeclarationError,
-    heartbeat::consumer,
     object_dictionary::{Access, Entry, Object, Options},
-    pdo,
 };
 
 /// Checks the table of a product; panics, at compile time, with what is wrong.
@@ -23,19 +20,6 @@ pub const fn check(objects: &[Entry]) {
         before = Some(entry);
         rest = others;
     }
-}
-
-/// Checks what an application declares beside its objects; panics, at compile time, with what is wrong.
-#[doc(hidden)]
-pub const fn check_communication<
-    A: Application,
-    const TPDOS: usize,
-    const RPDOS: usize,
-    const PRODUCERS: usize,
->() {
-    let _ = pdo::declared_tpdos::<A, TPDOS>();
-    let _ = pdo::declared_rpdos::<A, RPDOS>();
-    let _ = consumer::declared::<A, PRODUCERS>();
 }
 
 /// What is wrong with an entry that follows another.

@@ -343,12 +343,7 @@ macro_rules! objects {
             }
 
             application::check(<$name as application::Dictionary>::OBJECTS);
-            application::check_communication::<
-                $name,
-                { <$name as $crate::Application>::TPDOS.len() },
-                { <$name as $crate::Application>::RPDOS.len() },
-                { <$name as $crate::Application>::PRODUCERS },
-            >();
+            <<$name as application::Dictionary>::Numbers>::check::<$name>();
             $($(
                 application::check_count(
                     $index,

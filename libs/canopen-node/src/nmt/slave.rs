@@ -1,7 +1,7 @@
 //! The NMT slave (CiA 301): the NMT state and the commands that change it, boot-up, heartbeat and error behaviour.
 
-use super::{Command, ErrorBehaviour, State, error_control};
-use crate::{Frame, Instant, NodeId, heartbeat::producer::Producer};
+use super::{Command, ErrorBehaviour, State, error_control, producer::Producer};
+use crate::{Frame, Instant, NodeId};
 
 /// The NMT state of the node, and the messages that report it.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use crate::{
     Application, Frame, Instant, NodeId,
     count::Declares,
     emergency::{self, Emergency},
-    heartbeat::consumer::{self, Consumer},
+    heartbeat::{self, Consumer},
     nmt::{ErrorBehaviour, slave::NmtSlave},
     numbers::Numbers,
     object_dictionary::{DefaultValue, Description, Entry, Object},
@@ -79,7 +79,7 @@ impl<N: Numbers> Communication<N> {
             | Object::CommunicationCyclePeriod
             | Object::SynchronousWindowLength
             | Object::SyncCounterOverflow => sync::describe(entry, default(entry)),
-            _ if entry.index == consumer::INDEX => consumer::describe(entry, default(entry)),
+            _ if entry.index == heartbeat::INDEX => heartbeat::describe(entry, default(entry)),
             _ => pdo::describe(entry, default(entry)),
         };
         N::TABLES.into_iter().flatten().map(move |entry| (*entry, describe(entry)))

@@ -5,7 +5,7 @@ use crate::{
     cob_id::CobId,
     count::Declares,
     emergency,
-    heartbeat::consumer::Producers,
+    heartbeat::Producers,
     nmt::ErrorBehaviour,
     numbers::Numbers,
     object_dictionary::{
