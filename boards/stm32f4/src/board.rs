@@ -9,7 +9,7 @@ use stm32f4xx_hal::{
 };
 
 #[cfg(feature = "update")]
-use crate::update;
+use crate::mailbox;
 use crate::{
     can::{CanPins, Controller, Peripheral},
     chip::{APB1_HZ, SYSCLK_HZ, UNIQUE_ID},
@@ -98,7 +98,7 @@ impl Board {
         let mut node = Node::with_application(device, stored, application);
         let found = runner::restore(&mut node, &mut log, found);
         #[cfg(feature = "update")]
-        if let Some(in_force) = update::take_in_force() {
+        if let Some(in_force) = mailbox::take_in_force() {
             node = node.with_in_force(in_force.settings, in_force.heartbeat_ms);
         }
         crate::log::found(found, &stored.unwrap_or(device.defaults));

@@ -31,6 +31,8 @@ mod flash;
 mod led;
 #[cfg(target_os = "none")]
 mod log;
+#[cfg(all(target_os = "none", feature = "update"))]
+mod mailbox;
 #[cfg(target_os = "none")]
 pub mod master;
 #[cfg(target_os = "none")]

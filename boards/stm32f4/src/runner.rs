@@ -28,7 +28,7 @@ impl System for Alarm {
 
     fn reset(&mut self) {
         #[cfg(feature = "update")]
-        crate::update::reset();
+        crate::mailbox::reset();
         #[cfg(not(feature = "update"))]
         cortex_m::peripheral::SCB::sys_reset();
     }

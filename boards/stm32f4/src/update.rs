@@ -8,14 +8,10 @@ mod boot;
 mod clocks;
 #[cfg(target_os = "none")]
 pub mod loader;
-#[cfg(target_os = "none")]
-mod mailbox;
 mod objects;
 #[cfg(target_os = "none")]
 mod program;
 
-#[cfg(target_os = "none")]
-pub(crate) use mailbox::{reset, take_in_force};
 pub use objects::Update;
 #[cfg(target_os = "none")]
 pub use program::Steps;

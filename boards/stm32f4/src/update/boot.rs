@@ -9,9 +9,10 @@ use cortex_m_rt as _;
 use program_update::start::{self, Cause, Start, Why};
 use stm32f4xx_hal::pac::{FLASH, IWDG, PWR, RCC};
 
-use super::{areas::Areas, clocks, mailbox};
+use super::{areas::Areas, clocks};
 use crate::{
     chip::RUN,
+    mailbox,
     start::{comes_in_100_ms, restore},
     supply::Supply,
 };

@@ -26,7 +26,7 @@ use stm32f4xx_hal::pac::FLASH;
 pub use super::boot::start_or_stay;
 use super::{
     areas::Areas,
-    clocks, mailbox,
+    clocks,
     objects::{code, object},
 };
 use crate::{
@@ -35,6 +35,7 @@ use crate::{
     chip::{CHIP, RUN},
     clock,
     crystal::Crystal,
+    mailbox,
     watchdog::{Task, Watchdog},
 };
 

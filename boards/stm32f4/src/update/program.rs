@@ -8,8 +8,8 @@ use program_update::{
 };
 use rtic_core::Mutex;
 
-use super::{Update, areas::Areas, mailbox, objects::Request};
-use crate::{can::Peripheral, clock, runner::Runner, watchdog};
+use super::{Update, areas::Areas, objects::Request};
+use crate::{can::Peripheral, clock, mailbox, runner::Runner, watchdog};
 
 /// The part of the task that stores: what the objects of program download have asked for.
 pub struct Steps {

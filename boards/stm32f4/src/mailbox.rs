@@ -15,12 +15,12 @@ pub struct InForce {
     pub heartbeat_ms: u16,
 }
 
-pub(super) fn read() -> Option<Mailbox> {
+pub fn read() -> Option<Mailbox> {
     // SAFETY: no variable and no stack has this RAM. It may have any content, as other code has written it.
     Mailbox::from_words(&unsafe { PLACE.read_volatile() })
 }
 
-pub(super) fn write(mailbox: &Mailbox) {
+pub fn write(mailbox: &Mailbox) {
     // SAFETY: as above.
     unsafe { PLACE.write_volatile(mailbox.to_words()) };
 }
@@ -36,7 +36,7 @@ pub fn take_in_force() -> Option<InForce> {
 }
 
 /// Leaves what is in force on the bus to the one who starts next.
-pub(super) fn hand_over<A: Application>(node: &Node<A>, command: Command) {
+pub fn hand_over<A: Application>(node: &Node<A>, command: Command) {
     write(&Mailbox {
         command,
         started: Started::Loader,
@@ -55,7 +55,7 @@ pub fn reset() -> ! {
 }
 
 /// Records that the program has run for long.
-pub(super) fn note_has_run() {
+pub fn note_has_run() {
     if let Some(mailbox) = read() {
         write(&Mailbox { failures: 0, ..mailbox });
     }
