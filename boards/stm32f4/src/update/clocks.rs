@@ -26,7 +26,7 @@ const ACR: u32 = 1 << 8 | if SYSCLK_MHZ == 160 { 5 } else { 3 };
 
 /// Lets the core run from the PLL, once the crystal runs.
 pub fn start(crystal: Crystal, clocks: RCC) -> Rcc {
-    run_from(FROM_CRYSTAL | crystal.hz / 1_000_000, &clocks);
+    run_from(FROM_CRYSTAL | (crystal.hz / 1_000_000), &clocks);
     // Whether it is so, `crystal::check` sees.
     clocks.constrain()
 }
