@@ -5,7 +5,7 @@ use canopen_node::{
     settings::{Error, Found, Log, parameters},
 };
 use testkit::{
-    flash::{BoardFlash, Flash},
+    flash::{BoardFlash, Flash, Operation::Erase},
     power_cut::{EachKind, store, with_each_kind},
     random::{Random, every},
     settings::{
@@ -149,6 +149,28 @@ fn a_start_after_one_whose_erase_was_cut_erases_and_writes_one_record() {
     let stored = Settings::new(BitRate::Kbit500.into()).with_node_id(NodeId::new(5));
     assert_eq!(open(&flash), (Some(stored), Found::Complete));
     assert_eq!((flash.writes(), flash.erases()), (10, 1), "that the bank is erased");
+}
+
+#[test]
+fn of_two_banks_that_do_not_count_the_one_where_a_format_was_cut_is_erased_last() {
+    const LEN: usize = 1024;
+    let [old, new] = [u32::MAX, 0].map(|sequence| record(sequence, 0, 0xFF, 0xFF));
+    let other = [0; 32];
+    // Its erase can be cut, and make the record read as certain: then the log must be in the other bank.
+    for (before, cut) in [(Some(old), new), (Some(other), new), (None, other)] {
+        for bank in [0, 1] {
+            let before = before.map(|before| (1 - bank, 0, before));
+            let records: Vec<_> = before.into_iter().chain([(bank, 0, cut)]).collect();
+            let flash = flash_with::<4, LEN>(&records);
+            records.iter().for_each(|(bank, ..)| flash.corrupt(bank * LEN + PLACE - 1, 0xFF));
+            let content = flash.content();
+            flash.fail_after(Erase, 1);
+            assert_eq!(open(&flash), (None, Found::MediumFailed(Error::Refused)));
+            assert_eq!(flash.erases(), 2);
+            let range = bank * LEN..(bank + 1) * LEN;
+            assert!(flash.content()[range.clone()] == content[range], "bank {bank} is unchanged");
+        }
+    }
 }
 
 #[test]
