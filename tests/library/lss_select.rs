@@ -4,7 +4,7 @@
 use canopen_node::lss::Address;
 use testkit::{
     frames::{SILENCE, number},
-    node_rig::{ADDRESS, NodeRig},
+    node_rig::{ADDRESS, NodeRig, device},
 };
 
 /// The steps of an identify with these bounds.
@@ -64,6 +64,8 @@ fn the_serial_number_of_a_unique_id_is_its_fnv_1a_hash() {
         (b"foobar", 0xBF9C_F968),
     ] {
         assert_eq!(Address::serial_number_of(id), hash, "{id:?}");
+        let device = device(ADDRESS).with_serial_number(hash);
+        assert_eq!(device.address, Address { serial_number: hash, ..ADDRESS });
     }
 }
 

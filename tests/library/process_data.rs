@@ -195,6 +195,34 @@ fn a_new_device_has_the_pdos_that_its_product_declares() {
     assert_eq!([0, 1, 2].map(|sub| board.number(0x1601, sub)), [2, 0x0006_0010, 0x6200_0320]);
 }
 
+objects! {
+    /// An input, with the highest numbers that can be declared.
+    struct Input, values InputValue;
+
+    0x6000 {
+        0 "Input" input: u8 = 0, ro, mappable;
+    }
+}
+
+impl Application for Input {
+    const TPDOS: &'static [Tpdo] = &[Tpdo::new(&[(0x6000, 0); 8])
+        .with_transmission_type(240)
+        .with_inhibit_time(0xFFFF)
+        .with_event_timer(0xFFFF)
+        .with_sync_start_value(240); 4];
+    const PRODUCERS: usize = 16;
+}
+
+#[test]
+fn a_product_with_tpdos_alone_declares_the_highest_numbers() {
+    let mut board = NodeRig::running(Input::new());
+    let tpdo = [1, 2, 3, 5, 6].map(|sub| board.number(0x1803, sub));
+    assert_eq!(tpdo, [0x4000_04C0, 240, 0xFFFF, 0xFFFF, 240]);
+    assert_eq!([0, 1, 8].map(|sub| board.number(0x1A03, sub)), [8, 0x6000_0008, 0x6000_0008]);
+    assert_eq!([0, 16].map(|sub| board.number(0x1016, sub)), [16, 0]);
+    assert_eq!((board.number(0x1005, 0), board.number(0x1019, 0)), (0x80, 0));
+}
+
 #[test]
 fn a_pdo_without_a_declaration_is_invalid_and_empty() {
     let mut board = board();

@@ -114,7 +114,8 @@ fn the_cob_id_of_sync_can_be_moved_but_the_node_is_no_producer() {
     for value in [0x4000_0080, 0x2000_0080, 0x0000_07FF, 0] {
         assert_eq!(write(&mut board, 0x1005, 0, value, 4), Err(INVALID_VALUE), "{value:X}");
     }
-    set(&mut board, 0x1005, 0, 0x100, 4);
+    set(&mut board, 0x1005, 0, 0x8000_0100, 4);
+    assert_eq!(board.number(0x1005, 0), 0x100, "bit 31 has no meaning");
     assert_eq!(receive(&mut board, "080:"), SILENCE);
     assert_eq!(receive(&mut board, "100:").0.len(), 1);
 }

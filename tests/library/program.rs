@@ -336,7 +336,12 @@ fn a_program_that_takes_no_data_refuses_it() {
     assert_eq!(board.sdo("81 01 02 03"), ["5C0: A2 01 7F 00 00 00 00 00"]);
     assert_eq!(board.sdo("D1"), ["5C0: 80 50 1F 01 22 00 00 08"]);
     assert_eq!(board.sdo("C2 50 1F 01 0E"), ["5C0: A4 50 1F 01 7F 00 00 00"]);
-    assert_eq!(board.sdo("01 01 02 03 04 05 06 07"), SILENCE, "the block has 127 segments");
+    assert_eq!(
+        board.sdo("7F 01 02 03 04 05 06 07"),
+        ["5C0: A2 00 7F 00 00 00 00 00"],
+        "segment 127"
+    );
+    assert_eq!(board.sdo("01 01 02 03 04 05 06 07"), SILENCE, "one of 127");
     assert_eq!(board.sdo("02 08 09 0A 0B 0C 0D 0E"), ["5C0: 80 50 1F 01 22 00 00 08"]);
 }
 

@@ -75,24 +75,18 @@ impl<N: Numbers> Configuration<N> {
     }
 }
 
-/// Checks the number of PDOs that are declared, of those that the node has.
-const fn check_number(direction: Direction, declared: usize, possible: usize) {
-    if possible > MAX_PDOS {
+/// Checks the number of PDOs of the node.
+const fn check_number(direction: Direction, number: usize) {
+    if number > MAX_PDOS {
         DeclarationError::of_pdo(direction.pdo(), MAX_PDOS + 1)
             .text("a node has at most 16")
-            .raise();
-    }
-    if declared > possible {
-        DeclarationError::of_pdo(direction.pdo(), possible + 1)
-            .text("the node has only ")
-            .number(possible)
             .raise();
     }
 }
 
 /// The TPDOs of a new device; panics, at compile time, with what is wrong.
 pub(crate) const fn declared_tpdos<A: Application, const TPDOS: usize>() -> [Pdo; TPDOS] {
-    check_number(Direction::Transmit, A::TPDOS.len(), TPDOS);
+    check_number(Direction::Transmit, TPDOS);
     let mut tpdos = [Pdo::UNUSED; TPDOS];
     let mut at = 0;
     while at < A::TPDOS.len() {
@@ -104,7 +98,7 @@ pub(crate) const fn declared_tpdos<A: Application, const TPDOS: usize>() -> [Pdo
 
 /// The RPDOs of a new device; panics, at compile time, with what is wrong.
 pub(crate) const fn declared_rpdos<A: Application, const RPDOS: usize>() -> [Pdo; RPDOS] {
-    check_number(Direction::Receive, A::RPDOS.len(), RPDOS);
+    check_number(Direction::Receive, RPDOS);
     let mut rpdos = [Pdo::UNUSED; RPDOS];
     let mut at = 0;
     while at < A::RPDOS.len() {
