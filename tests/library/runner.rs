@@ -4,7 +4,7 @@
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use canopen_node::{
-    Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives,
+    Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives, Settings,
     application::NoApplication,
     indicator::BusState,
     lss::StoreError,
@@ -386,9 +386,14 @@ fn a_controller_that_does_not_start_is_started_again() {
 
 /// A board that searches for the bit rate after an error.
 fn searching() -> Board {
-    let mut board = Board::new(device(ADDRESS).with_defaults(defaults(0xFF)).with_rescue(true));
+    searching_from(BitRate::Kbit1000)
+}
+
+fn searching_from(home: BitRate) -> Board {
+    let device = device(ADDRESS).with_defaults(Settings::new(home.into())).with_rescue(true);
+    let mut board = Board::new(device);
     board.pass_ms(1);
-    assert_eq!(board.take_starts(), [(Mode::TakePart, 1000)]);
+    assert_eq!(board.take_starts(), [(Mode::TakePart, home.kbit_per_s())]);
     board
 }
 
@@ -782,16 +787,19 @@ fn samples_are_a_millisecond_apart_whoever_calls() {
 
 #[test]
 fn two_frame_times_of_traffic_without_a_frame_begin_a_search() {
-    let mut board = searching();
-    for ms in 0.. {
-        board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting: false };
-        board.pass_ms(1);
-        if !board.take_starts().is_empty() {
-            break;
+    // The frames take 270 bits, at 1 Mbit/s no whole millisecond.
+    for (bit_rate, two_frames_ms) in [(BitRate::Kbit1000, 0), (BitRate::Kbit10, 27)] {
+        let mut board = searching_from(bit_rate);
+        for ms in 0.. {
+            board.chip().sample = Sample { is_recessive: ms % 2 == 0, is_transmitting: false };
+            board.pass_ms(1);
+            if !board.take_starts().is_empty() {
+                break;
+            }
         }
+        // The gap between frames and two milliseconds more.
+        assert_eq!(board.chip().now_us / 1000, 16 + 2 + two_frames_ms + 1);
     }
-    // The gap between frames and two milliseconds more; at 1 Mbit/s two frames take no whole one.
-    assert_eq!(board.chip().now_us / 1000, 16 + 2 + 1);
 }
 
 #[test]
