@@ -74,6 +74,7 @@ fn the_shortest_and_the_longest_heartbeat_time_are_kept() {
     let mut board = NodeRig::with_heartbeat(0x40, 1);
     assert_eq!(board.pass_ms(1_000).0.len(), 1_000);
     let mut board = NodeRig::with_heartbeat(0x40, u16::MAX);
+    assert_eq!(board.node.heartbeat_ms(), u16::MAX);
     assert_eq!(board.pass_ms(65_534), SILENCE);
     assert_eq!(board.pass_ms(1), ["740: 7F"]);
 }
