@@ -90,11 +90,12 @@ impl Bus {
     ) -> Time {
         let stop = Cell::new(false);
         let mut deliver = |index: usize, station: &mut dyn Station, now: Time| {
-            while let Some(event) = station.controller().take_event() {
-                observe(index, station.controller(), &event);
+            loop {
+                let controller = station.controller();
+                let Some(event) = controller.take_event() else { return controller.next_action() };
+                observe(index, controller, &event);
                 stop.set(stop.get() | station.handle(&event, now));
             }
-            station.controller().next_action()
         };
         self.wire.level = self.wire.resolve(anyone_drives(stations));
         self.next.clear();
@@ -113,10 +114,10 @@ impl Bus {
             self.now = now;
             let mut changed = self.wire.act(now);
             for &index in &due {
-                let station = &mut *stations[index];
-                if station.controller().drives_at(now) {
-                    station.controller().drive(now);
-                    self.next[index] = deliver(index, station, now);
+                let controller = stations[index].controller();
+                if controller.drives_at(now) {
+                    controller.drive(now);
+                    self.next[index] = deliver(index, &mut *stations[index], now);
                     changed = true;
                 }
             }

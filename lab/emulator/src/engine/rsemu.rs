@@ -460,6 +460,9 @@ impl Engine for Rsemu {
         if self.stalled_until > self.cycles {
             return self.clock.time_at(self.stalled_until);
         }
+        if self.spin.is_none() && !self.cpu.is_asleep() {
+            return self.now();
+        }
         let (irqs, nmi) = {
             let chip = lock(&self.chip);
             (chip.irqs(), chip.nmi())
@@ -467,8 +470,7 @@ impl Engine for Rsemu {
         let interrupted = self.cpu.with_sys(|sys| {
             sys.highest_pending().is_some() || exceptions(irqs).any(|irq| sys.is_enabled(irq))
         });
-        let idle = self.spin.is_some() || self.cpu.is_asleep();
-        if interrupted || nmi || !idle {
+        if interrupted || nmi {
             return self.now();
         }
         self.cycles_to_systick()

@@ -157,7 +157,9 @@ impl Decoded {
     fn instruction(&mut self, pc: u32, memories: &Memories) -> Option<&Place> {
         if pc >= CCM_BASE {
             self.follow(memories.ram, pc);
-            self.follow(memories.ram, pc.wrapping_add(2));
+            if pc >> LINE_BITS != pc.wrapping_add(2) >> LINE_BITS {
+                self.follow(memories.ram, pc.wrapping_add(2));
+            }
             if memories.is_guarded(pc, 4) {
                 return None;
             }
