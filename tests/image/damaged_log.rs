@@ -78,7 +78,7 @@ fn damage(random: &mut Random, content: &mut [u8]) {
 fn assert_starts_alike(board: Board, node: impl Fn(Vec<u8>) -> Vec<u8>) {
     let mut random = Random::from_environment();
     let mut rig = ImageRig::unattended(board);
-    for start in 0..STARTS / every(5) {
+    for start in 0..STARTS / every(10) {
         let mut content = log(&mut random);
         for _ in 0..random.within(0..5) {
             damage(&mut random, &mut content);

@@ -151,10 +151,10 @@ fn time_until_all_are_heard(site: Site, disturbance: Disturbance) -> Option<Time
     None
 }
 
-/// Fails unless all boards of each fifth site, or with `FULL` of each, are heard within `limit` after the disturbance.
+/// Fails unless all boards of each eleventh site, or with `FULL` of each, are heard within `limit` after the disturbance.
 fn assert_all_are_heard(sites: impl Iterator<Item = (Site, Disturbance)>, limit: Time) {
     let mut late = Vec::new();
-    for (site, disturbance) in sites.step_by(every(5)) {
+    for (site, disturbance) in sites.step_by(every(11)) {
         let time = time_until_all_are_heard(site, disturbance);
         let what = format!("{time:?} after {disturbance:?}: {site:?}");
         println!("{what}");

@@ -159,7 +159,7 @@ fn random_transfers_right_and_wrong_are_answered_as_by_the_node_in_the_process()
     let mut random = Random::from_environment();
     let indices: Vec<u16> = indices().collect();
     let mut pair = Pair::new();
-    for _ in 0..6_000 {
+    for _ in 0..6_000 / every(4) {
         let transfer = transfer(&mut random, &indices);
         for request in with_fault(&mut random, transfer) {
             pair.ask(request);

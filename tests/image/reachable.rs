@@ -110,13 +110,14 @@ fn assert_waits_for_a_master_that_goes_on(
 
 #[test]
 fn a_master_that_continues_at_the_old_rate_loses_no_board() {
-    for (number, pair) in pairs().enumerate().step_by(every(5)) {
+    for (number, pair) in pairs().enumerate().step_by(every(11)) {
         let id = [1, 5, 16, 32, 64, 100, 127][number % 7];
         let (heartbeat_ms, late_ms) = [(1000, 300), (0, 300), (1000, 3_000)][number % 3];
         assert_waits_for_a_master_that_goes_on(pair, id, heartbeat_ms, late_ms);
     }
     let pair = (BitRate::Kbit125, BitRate::Kbit500);
-    for (heartbeat_ms, late_ms) in [(0, 300), (0, 3_000), (1000, 3_000), (1000, 29_000)] {
+    let others = [(0, 300), (1000, 29_000), (0, 3_000), (1000, 3_000)];
+    for (heartbeat_ms, late_ms) in others.into_iter().step_by(every(2)) {
         assert_waits_for_a_master_that_goes_on(pair, 5, heartbeat_ms, late_ms);
     }
 }

@@ -87,7 +87,7 @@ fn cut_power(boards: u32, work: fn(&mut Rig), end: fn(&mut Rig), which: Cuts) {
     parallel::map(&cuts, work_with_cut, |_, ()| {});
 }
 
-/// The numbers of the first frame of each pair of kinds, and of each 16th, or each 64th of a scan.
+/// The numbers of the first frame of each pair of kinds.
 fn some(frames: &[Frame]) -> Vec<usize> {
     let kind = |frame: &Frame| match frame.cob_id() {
         lss::REQUEST_COB_ID | lss::RESPONSE_COB_ID => (frame.cob_id(), frame.data()[0]),
@@ -95,10 +95,7 @@ fn some(frames: &[Frame]) -> Vec<usize> {
     };
     let mut seen = BTreeSet::new();
     let pairs = frames.windows(2).enumerate();
-    let chosen = pairs.filter(|(number, pair)| {
-        let step = if [0x4F, 0x51].contains(&pair[0].data()[0]) { 64 } else { 16 };
-        seen.insert((kind(&pair[0]), kind(&pair[1]))) || number.is_multiple_of(step)
-    });
+    let chosen = pairs.filter(|(_, pair)| seen.insert((kind(&pair[0]), kind(&pair[1]))));
     chosen.map(|(number, _)| number + 1).collect()
 }
 
