@@ -13,7 +13,7 @@ import boot
 from boards import HERE, WORKSPACE, Boards
 from test_python_canopen import OPERATIONAL, PATIENCE, States
 
-EXAMPLE = "--example", "io", "--chip", "stm32f407", "--boards"
+EXAMPLE = "--example", "io", "--boards"
 STAMP = 15645, 36_000_000
 COUNT = 20
 # Of bus time, from the first NMT command of the master on.

@@ -19,7 +19,7 @@ from test_rescue import NO_ERROR, wait_for_emergency
 
 EDS = str(WORKSPACE / "eds" / "io.eds")
 # With a second board the first is never alone on the bus, which would make it error passive.
-EXAMPLE = "--example", "io", "--chip", "stm32f407", "--boards", 2
+EXAMPLE = "--example", "io", "--boards", 2
 NODE_ID, MASTER = 5, 127
 HEARTBEAT_LOST = 0x8130
 # Abort codes of SDO.

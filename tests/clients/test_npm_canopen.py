@@ -24,7 +24,7 @@ def test_npm_canopen_commissions_and_uses_a_blank_board():
 
 
 def test_npm_canopen_exchanges_pdos_with_the_example():
-    with Boards("--example", "io", "--chip", "stm32f407", "--node-id", 5) as boards:
+    with Boards("--example", "io", "--node-id", 5) as boards:
         port = boards.address.rpartition(":")[2]
         eds = WORKSPACE / "eds" / "io.eds"
         command = ["node", HERE / "node" / "example.js", port, "5", eds]

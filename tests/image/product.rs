@@ -49,14 +49,14 @@ static FAULTY: LazyLock<Image> = LazyLock::new(|| {
     #[init]",
         ),
     ];
-    let elf = product::build_changed("faulty", Part::Stm32f446, 1, &changes);
+    let elf = product::build_changed("faulty", PART, 1, &changes);
     Image::from_elf(&elf.unwrap_or_else(|error| panic!("{error}"))).expect("an ELF file")
 });
 
 /// The product as node 4.
 fn node_4(tolerates_unmodelled: bool) -> ImageRig {
     let settings_of_board = board::Settings { tolerates_unmodelled, ..Default::default() };
-    let mut board = Board::new(Part::Stm32f446, &FAULTY, settings_of_board);
+    let mut board = Board::new(PART, &FAULTY, settings_of_board);
     board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(4, BitRate::Kbit125)]));
     let mut rig = ImageRig::new(BitRate::Kbit125, [board]);
     assert_eq!(rig.collect(Time::from_ms(500)), ["704: 00"]);
@@ -129,7 +129,7 @@ fn a_test_can_refuse_a_peripheral_that_is_not_modelled() {
 fn a_product_whose_state_is_too_large_for_the_stack_does_not_link() {
     let state = "values Value;\n\n    private buffer: [u8; 6_000] = [0; 6_000];";
     let change = ("src/application.rs", "values Value;", state);
-    let error = product::build_changed("large", Part::Stm32f446, 1, &[change]);
+    let error = product::build_changed("large", PART, 1, &[change]);
     let error = error.map(drop).expect_err("the stack is too small").to_string();
     assert!(error.contains("Give a large buffer to a task"), "{error}");
 }

@@ -257,7 +257,8 @@ impl Recorded {
     }
 }
 
-/// Cuts the power in all operations of a session, or in the decisive and in others up to this number.
+/// Cuts the power in all operations of a session. With a number: in the decisive ones, at their worst, and in others up to
+/// this number.
 fn cut_all(files: &Files, session: Session, number: Option<usize>, random: &mut Random) {
     let recorded = session.record(files);
     let all = recorded.operations.len() as u64;
@@ -269,7 +270,7 @@ fn cut_all(files: &Files, session: Session, number: Option<usize>, random: &mut 
         chosen.insert(random.within(0..all));
     }
     let mut seed = |at| match number {
-        Some(0) => recorded.worst_seed(at, random),
+        Some(_) if recorded.decisive.contains(&(at as u64)) => recorded.worst_seed(at, random),
         _ => random.u64(),
     };
     let chosen = chosen.into_iter().map(|at| at as usize);

@@ -5,7 +5,7 @@
 //! blank, as written, as anything or as an error, differently each time. If it is programmed once more, that is refused
 //! or completes the same content.
 //!
-//! A crate of its own, which is built with optimisation: tests spend their time here. So nothing in [`Chip`] is generic.
+//! Tests spend their time here. The workspace builds this crate with optimisation, so nothing in `Chip` is generic.
 
 pub mod random;
 

@@ -134,8 +134,8 @@ pub(crate) fn build_loader(
 ) -> anyhow::Result<Vec<u8>> {
     let bin = format!("{package}-loader");
     build_bin(directory, [package, &bin], part, |command| {
-        // There is no room for a log. The level is built into this package: another one of it, so that a build of the
-        // loader and one of the program do not undo each other.
+        // There is no room for a log. The level is built into this package. The loader gets a copy of its own, so that its
+        // build and that of the program do not undo each other.
         command.env("DEFMT_LOG", "off");
         command.args(["--config", "profile.release.package.defmt-macros.codegen-units=1"]);
         // It has 32 KB. The packages of others stay as they are, since the program needs them too.

@@ -22,7 +22,7 @@ pub struct LogLine {
 /// # Panics
 /// The program has a defmt section of another version than the decoder's.
 pub fn lines(board: &Board) -> Vec<LogLine> {
-    Decoder::new(board.image()).expect("a program of ours").new_lines(board)
+    Decoder::new(board.image()).expect("a log of the decoder's version").new_lines(board)
 }
 
 /// Decodes the log of a board piece by piece.

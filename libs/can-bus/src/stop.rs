@@ -9,6 +9,7 @@ use canopen_node::Frame;
 pub enum Stop {
     /// There is no such adapter, or it refuses to work.
     NoAdapter(String),
+    /// The adapter has vanished.
     AdapterGone(String),
     /// Ctrl-C.
     Interrupted,

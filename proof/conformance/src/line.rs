@@ -1,4 +1,4 @@
-//! The line to the device: an adapter, in a laboratory with a hand on power and memory.
+//! The line to the device: an adapter. That of a laboratory also has a hand on power and memory.
 
 use can_bus::adapter::Adapter;
 

@@ -22,7 +22,7 @@ pub struct Arguments {
     #[arg(long)]
     quick: bool,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
 }
 

@@ -77,7 +77,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", requires = "elf")]
     eds: Option<PathBuf>,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
     /// The CAN controller of --elf on the bus: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]

@@ -56,7 +56,7 @@ pub struct Arguments {
     #[arg(long, value_name = "NUMBER", requires = "replay", default_value_t = 0)]
     deviations: u32,
     /// The chip on the boards
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
 }
 

@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(long)]
     seed: Option<u64>,
     /// The chip on the board
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
     /// Storm an example of a product
     #[arg(long)]

@@ -54,7 +54,7 @@ struct Arguments {
     #[arg(long)]
     all: bool,
     /// The chip on the boards, such as stm32f446; the README lists them all
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
     /// Draw the switch of the bit rate as a timing diagram
     #[arg(long, value_name = "FILE")]

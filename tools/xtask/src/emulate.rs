@@ -86,7 +86,7 @@ pub struct Arguments {
     #[arg(long)]
     console: bool,
     /// The chip on the boards; stm32g431 only on those of --elf
-    #[arg(long, default_value = "stm32f407", value_parser = Part::any)]
+    #[arg(long, default_value = testkit::image::PART.name(), value_parser = Part::any)]
     chip: Part,
     /// The CAN controller on the bus, on the boards of --elf: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller, requires = "elf")]

@@ -12,7 +12,7 @@ use crate::{example::Example, tool};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip on the board
-    #[arg(default_value = "stm32f407")]
+    #[arg(default_value = testkit::image::PART.name())]
     chip: Part,
     /// Write an example of a product in place of the plain firmware
     #[arg(long)]

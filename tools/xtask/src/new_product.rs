@@ -33,7 +33,7 @@ pub struct Arguments {
     #[arg(long, value_name = "URL", value_parser = git_url)]
     git: Option<String>,
     /// The chip of the board
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
     /// The CAN controller: can1, can2, or on some chips can3
     #[arg(long, default_value = "can1", value_parser = chip::controller)]

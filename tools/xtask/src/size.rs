@@ -17,7 +17,7 @@ use crate::example::Example;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The chip to build for
-    #[arg(long, default_value = "stm32f407")]
+    #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
     /// Show an example of a product, which has no budget
     #[arg(long)]

@@ -133,13 +133,18 @@ fn left_out(session: &mut Session<'_>, work: &Work, unknown: &[Row]) -> Result<(
         {
             continue;
         }
-        let text = row.lss_address.as_ref().map_or("-".into(), address::text);
-        writeln!(
-            session.out,
-            "node {}  {text}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
-             --reset --store) and assign again",
-            row.id_text()
-        )?;
+        let id = row.id_text();
+        match row.lss_address.as_ref().map(address::text) {
+            Some(text) => writeln!(
+                session.out,
+                "node {id}  {text}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
+                 --reset --store --address {text}) and assign again"
+            )?,
+            None => writeln!(
+                session.out,
+                "node {id}  -  is not in the table, and does not say its LSS address"
+            )?,
+        }
     }
     Ok(())
 }

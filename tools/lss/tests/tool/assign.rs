@@ -115,6 +115,10 @@ fn a_board_with_a_node_id_that_the_table_lacks_is_named_and_gets_no_entry() {
         assert_eq!(lines.len(), expected.len(), "{lines:?}");
         assert!(lines.iter().zip(&expected).all(|(line, words)| line.starts_with(words)));
         assert_eq!(fs::read_to_string(&path).expect("it is there"), text);
+        for line in lines {
+            let advice = line.split_once("(lss ").and_then(|(_, rest)| rest.split_once(')'));
+            assert_eq!(boards.lss(advice.expect("a command").0).code, 0, "{line}");
+        }
     }
     assert!(!Wire::new(RATE, &[30]).lss("assign").text.contains("table"));
 }

@@ -139,7 +139,7 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let first = self.search_bank(0..used);
         let second = self.search_bank(bank_len..bank_len.saturating_add(used));
         let second_is_newer = match (first.certain, second.certain) {
-            // While they are formatted. It continues in the other one: where a record is, an erase that is cut may leave it
+            // Both are being formatted. The log goes to the bank without a record: an erase that is cut may make a record
             // certain, in a bank that cannot be written.
             (None, None) if first.newest.is_none() && second.newest.is_none() => first.is_blank(),
             (None, None) => is_later(second.sequence(), first.sequence()),
