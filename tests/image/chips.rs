@@ -2,6 +2,7 @@
 //! of them, with the image of the example.
 
 use canopen_stm32f4::chip::{self, CHIPS};
+use emulator::chip::Part;
 use testkit::{boards::Variant, image::example, sessions};
 
 use crate::rig::*;

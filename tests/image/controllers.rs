@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use emulator::image::Image;
+use emulator::{chip::Part, image::Image};
 use testkit::product;
 
 use crate::rig::*;

@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use emulator::chip::Part;
 use testkit::{
     image::{self, example},
     io_board, stack,

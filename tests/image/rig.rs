@@ -5,7 +5,7 @@ pub use emulator::{
     Time,
     board::{self, Board},
     can::{Adapter, Frame, Id},
-    chip::{ChipVariant, Part, Pin, ResetCause, Timing},
+    chip::{ChipVariant, Pin, ResetCause, Timing},
     network::{AdapterId, Event, Recording, Short, Source, What},
 };
 use emulator::{chip::FLASH_BASE, image::Image};
