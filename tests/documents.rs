@@ -151,12 +151,6 @@ fn the_readme_names_the_emulator_before_the_first_adapter() {
 }
 
 #[test]
-fn the_index_of_cases_and_tests_is_that_of_the_code() {
-    let (page, made) = conformance::index::pages(workspace()).expect("the sources");
-    assert!(page == made, "cargo verify conformance --index writes it");
-}
-
-#[test]
 fn prose_is_at_most_120_columns_wide() {
     let mut faults = Vec::new();
     for (document, text) in documents() {

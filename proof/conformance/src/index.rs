@@ -127,3 +127,16 @@ fn wrapped(item: &str) -> String {
     }
     lines + "\n"
 }
+
+#[cfg(test)]
+mod tests {
+    use testkit::cargo::workspace;
+
+    use super::*;
+
+    #[test]
+    fn the_index_of_cases_and_tests_is_that_of_the_code() {
+        let (page, made) = pages(workspace()).expect("the sources");
+        assert!(page == made, "cargo verify conformance --index writes it");
+    }
+}
