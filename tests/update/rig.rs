@@ -29,13 +29,14 @@ pub const RATE: BitRate = BitRate::Kbit1000;
 
 /// The loader and the program.
 pub static IMAGES: LazyLock<[Image; 2]> = LazyLock::new(|| {
-    product::build_with_update("lamp", PART, CONTROLLER, |_, content| content)
+    // The tutorial has another name for its product: in one target directory cargo takes two of one name for one.
+    product::build_with_update("pump", PART, CONTROLLER, |_, content| content)
         .unwrap_or_else(|error| panic!("{error}"))
 });
 
 /// The device with this software version.
 pub fn device(version: &'static str) -> Device {
-    let mut device = DEVICE.with_name("lamp").with_versions("1.0", version);
+    let mut device = DEVICE.with_name("pump").with_versions("1.0", version);
     device.address.product_code = 1;
     device
 }
