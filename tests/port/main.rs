@@ -103,7 +103,7 @@ fn a_crystal_that_does_not_start_is_logged_and_ends_in_resets(part: Part) {
     let resets = board.resets();
     assert!(resets[1..].iter().all(|&(_, cause)| cause == ResetCause::Software), "{resets:?}");
     assert!((5..=10).contains(&resets.len()), "{resets:?}");
-    let says = |text| log::lines(board).iter().filter(|line| line.text.starts_with(text)).count();
+    let says = |text| log::lines(&board).iter().filter(|line| line.text.starts_with(text)).count();
     assert_eq!(says("the crystal does not start, resetting"), resets.len() - 1);
 }
 
@@ -138,7 +138,7 @@ fn a_clock_that_is_not_that_of_the_crystal_ends_in_a_reset(part: Part) {
         board.run_until(board.now() + Time::from_ms(1));
     }
     assert_eq!(board.resets()[1].1, ResetCause::Software);
-    let log = log::lines(board);
+    let log = log::lines(&board);
     assert!(log.iter().any(|line| line.text.starts_with("the clock is not that")), "{log:?}");
 }
 
