@@ -26,8 +26,10 @@ use super::{
 const ERASE: Time = Time::from_ms(100);
 /// The operations before and after an erase or a step of the master that are cut in any case.
 const AROUND: u64 = 2;
-/// 2001h sub-index 1: the program is on trial.
+/// 2001h sub-index 1: no update, a program on trial, a confirmed update.
+const NONE: u32 = 0;
 const TRIAL: u32 = 2;
+const KEPT: u32 = 3;
 /// The length of the small programs.
 const SMALL: usize = 4096;
 const CODE: u32 = RUN + 0x200;
@@ -245,7 +247,11 @@ impl Recorded {
             longest = longest.max(rig.0.network.now() - from);
             let version = rig.version();
             assert!(may_run.contains(&&*version), "{version}");
-            let state = rig.number(0x2001, 1);
+            // Between no update and one that was confirmed, a word may read either way: nothing is pending.
+            let state = match rig.number(0x2001, 1) {
+                KEPT => NONE,
+                state => state,
+            };
             let is_as_before = before.is_none_or(|before| before == (version.clone(), state));
             assert!(is_as_before, "{version}, state {state}");
             before = (state != TRIAL).then_some((version, state));
