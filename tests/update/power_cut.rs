@@ -101,6 +101,8 @@ struct Recorded {
     operations: Vec<Done>,
     /// Those beside an erase or a step of the master: the erases, and the words of the journal.
     decisive: BTreeSet<u64>,
+    /// The number of operations before the first erase.
+    before_erase: usize,
 }
 
 impl Session {
@@ -149,6 +151,7 @@ impl Session {
             let Range { start, end } = times[*at as usize];
             end - start > ERASE
         };
+        let before_erase = (from..end).take_while(|at| !is_erase(at)).count();
         let near: Vec<u64> = (from..end).filter(is_erase).chain(marks).collect();
         let decisive = (from..end)
             .filter(|at| near.iter().any(|near| near.abs_diff(*at) <= AROUND))
@@ -158,7 +161,7 @@ impl Session {
         let mut repeated = before.clone();
         operations.iter().for_each(|done| repeated.repeat(done));
         assert!(repeated.bytes() == flash.bytes(), "the operations are all that has happened");
-        Recorded { before, operations, decisive }
+        Recorded { before, operations, decisive, before_erase }
     }
 }
 
@@ -247,9 +250,10 @@ impl Recorded {
             longest = longest.max(rig.0.network.now() - from);
             let version = rig.version();
             assert!(may_run.contains(&&*version), "{version}");
-            // Between no update and one that was confirmed, a word may read either way: nothing is pending.
             let state = match rig.number(0x2001, 1) {
-                KEPT => NONE,
+                // The words of the update before are voided then. One that is cut may read either way: as that update, which
+                // was confirmed, or as none. Nothing is pending in either.
+                KEPT if operation < self.before_erase => NONE,
                 state => state,
             };
             let is_as_before = before.is_none_or(|before| before == (version.clone(), state));
