@@ -140,8 +140,8 @@ fn after_a_torn_last_record_the_board_uses_the_one_before_and_logs_it() {
 
 #[test]
 fn a_board_alone_on_the_bus_keeps_its_rate_and_answers_a_late_master() {
-    // A switch is trusted for 30 s.
     let just_switched_on = (0..12).map(|step| (true, 50, Time::from_ms(50 + 60 * step)));
+    // 35 s are longer than a switch is trusted.
     for (is_new, heartbeat_ms, span) in just_switched_on.chain([(false, 500, Time::from_s(35))]) {
         let mut rig = node_40(heartbeat_ms);
         let from = rig.network.now();

@@ -35,6 +35,8 @@ pub struct Decoder {
 }
 
 impl Decoder {
+    /// A decoder for boards with this program.
+    ///
     /// # Errors
     /// The program has a defmt section of another version than the decoder's.
     pub fn new(image: &Image) -> anyhow::Result<Self> {

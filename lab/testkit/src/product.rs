@@ -36,19 +36,22 @@ const TEMPLATE: [&str; 10] = [
 /// The file of a product that finds this repository from every computer.
 const OF_GIT: &str = ".github/workflows/ci.yml";
 
+/// A file of the product, a text in it, and the text in its place.
+type Change<'a> = (&'a str, &'a str, &'a str);
+
 /// The release image of a new product on a CAN controller, 1 for CAN1, built in `target/products`.
 pub fn build(chip: Part, controller: u8) -> anyhow::Result<Image> {
     let elf = build_changed(&format!("{}-can{controller}", chip.name()), chip, controller, &[])?;
     Ok(Image::from_elf(&elf)?)
 }
 
-/// The ELF file of a new product with changes of its files, built in `target/products`. Each change is the path of a
-/// file, the text that goes, and that in its place. An error has the messages of `cargo`.
+/// The ELF file of a new product with changes of its files, built in `target/products`. An error has the messages of
+/// `cargo`.
 pub fn build_changed(
     name: &str,
     chip: Part,
     controller: u8,
-    changes: &[(&str, &str, &str)],
+    changes: &[Change<'_>],
 ) -> anyhow::Result<Vec<u8>> {
     let folder = workspace().join("target/products").join(name);
     let product = Product {
@@ -61,12 +64,22 @@ pub fn build_changed(
         is_signed: false,
     };
     let mut files = product.files()?;
-    update::change(&mut files, changes)?;
+    change(&mut files, changes)?;
     product.write_files(&files)?;
     image::build_with(&folder, name, chip, |command| {
         in_our_target(command);
         command.stderr(Stdio::piped());
     })
+}
+
+/// Makes the changes. Fails if a text is not there.
+fn change(files: &mut [(&str, String)], changes: &[Change<'_>]) -> io::Result<()> {
+    for (path, from, to) in changes {
+        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
+        let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
+        file.1 = file.1.replacen(from, to, 1);
+    }
+    Ok(())
 }
 
 /// The loader and the program of a new product whose program can be replaced over the bus, built in `target/products`.

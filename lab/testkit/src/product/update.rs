@@ -2,6 +2,8 @@
 
 use std::io;
 
+use super::{Change, change};
+
 /// `cargo update-file`, with the gaps of a template.
 pub(super) const UPDATE_FILE: &str = "examples/update_file.rs";
 
@@ -13,9 +15,6 @@ pub(super) const FILES: [(&str, &str); 2] = [
 
 /// The file with the key of a loader that takes only signed programs.
 pub(super) const KEY: (&str, &str) = ("template/update/key.rs", "src/key.rs");
-
-/// A file of the product, a text in it, and the text in its place.
-type Change<'a> = (&'a str, &'a str, &'a str);
 
 /// The changes of the files of a product.
 pub(super) const CHANGES: &[Change<'_>] = &[
@@ -107,16 +106,6 @@ const CHANGES_IF_SIGNED: &[Change<'_>] = &[
     (UPDATE_FILE, "fn main()", "#[path = \"../src/key.rs\"]\nmod key;\n\nfn main()"),
     (UPDATE_FILE, "let loader_key = None;", "let loader_key = Some(&key::KEY);"),
 ];
-
-/// Makes the changes. Fails if a text is not there.
-pub(super) fn change(files: &mut [(&str, String)], changes: &[Change<'_>]) -> io::Result<()> {
-    for (path, from, to) in changes {
-        let file = files.iter_mut().find(|file| file.0 == *path && file.1.contains(from));
-        let file = file.ok_or_else(|| io::Error::other(format!("{path} has no {from}")))?;
-        file.1 = file.1.replacen(from, to, 1);
-    }
-    Ok(())
-}
 
 /// Adds the loader to the files of a product, and makes the changes.
 pub(super) fn add(
