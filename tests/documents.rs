@@ -15,11 +15,11 @@ const DIRECTORIES: [&str; 8] = [
     "libs/canopen-node",
     "libs/lss-master",
     "libs/lss-slave",
-    "proof/fuzz",
+    "fuzz",
     "tests/clients",
 ];
 /// Directories that commands make.
-const MADE: [&str; 2] = ["target/", "proof/fuzz/artifacts/"];
+const MADE: [&str; 2] = ["target/", "fuzz/artifacts/"];
 /// The greatest width of prose; tables and printed output may be wider.
 const WIDTH: usize = 120;
 /// The endings that make a word with a slash the path of a file.
@@ -126,7 +126,7 @@ fn every_path_that_a_document_names_exists() {
 #[test]
 fn every_command_of_the_project_that_a_document_names_exists() {
     let mut faults = Vec::new();
-    for (tool, folder) in [("xtask", "tools/xtask"), ("verify", "proof/verify")] {
+    for (tool, folder) in [("xtask", "tools/xtask"), ("verify", "tests/campaigns")] {
         let main =
             fs::read_to_string(workspace().join(folder).join("src/main.rs")).expect("the commands");
         let run = |name: &str| format!("=> {}::run(", name.replace('-', "_"));

@@ -1,4 +1,4 @@
-//! The programs of `proof/bench/`, their builds for speed and for size, and their sizes in bytes.
+//! The programs of `tests/peers/`, their builds for speed and for size, and their sizes in bytes.
 
 use std::{
     fs,
@@ -89,9 +89,9 @@ impl Builds {
 }
 
 fn cargo_build(profile: &str, target_dir: &Path) -> anyhow::Result<()> {
-    let mut cargo = cargo_for_the_chip(&workspace().join("proof/bench"), "build")?;
+    let mut cargo = cargo_for_the_chip(&workspace().join("tests/peers"), "build")?;
     cargo.args(["--locked", "--bins", "--profile", profile, "--target-dir"]).arg(target_dir);
-    tool::run(&mut cargo, "proof/bench/ does not build")
+    tool::run(&mut cargo, "tests/peers/ does not build")
 }
 
 /// The total size of the symbols whose kind and name match.

@@ -9,7 +9,7 @@ use lss_master::{Bus, Fastscan, Identify, InquireAddress, Master, Procedure, Sel
 
 use super::machine::{Cost, Machine, Reception};
 
-/// The LSS address of every slave (`IDENTITY` in `proof/bench/src/lib.rs`); half of its bits are ones.
+/// The LSS address of every slave (`IDENTITY` in `tests/peers/src/lib.rs`); half of its bits are ones.
 const IDENTITY: [u32; 4] = [0x5AA5_3CC3, 0x0FF0_A55A, 0x3333_CCCC, 0x6996_9669];
 /// A frame of another node: its first transmit PDO.
 const FOREIGN_COB_ID: u16 = 0x18A;

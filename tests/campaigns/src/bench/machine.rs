@@ -1,4 +1,4 @@
-//! A program of `proof/bench/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
+//! A program of `tests/peers/` on the emulated chip: takes frames in its mailbox and counts the cost of each.
 
 use std::{
     path::Path,
@@ -21,7 +21,7 @@ const UNTOUCHED: [u8; 4] = 0xC5C5_C5C5_u32.to_le_bytes();
 /// More instructions than any measured operation takes.
 const PATIENCE: u64 = 1_000_000;
 
-/// The bytes of a mailbox (`Mailbox` in `proof/bench/src/lib.rs`): identifier and request, length from 4 on, data from 8 on.
+/// The bytes of a mailbox (`Mailbox` in `tests/peers/src/lib.rs`): identifier and request, length from 4 on, data from 8 on.
 type Mailbox = [u8; 16];
 
 /// The number of executed instructions.

@@ -17,7 +17,7 @@ const TESTS: [(&str, &str); 7] = [
     ("tests/image", "Tests of the release images on emulated boards"),
     ("libs/lss-master/tests", "Tests of the master"),
     ("libs/program-update/tests/update", "Tests of program updates"),
-    ("proof/conformance/tests/sabotage", "Tests of the cases"),
+    ("tests/cases/tests/sabotage", "Tests of the cases"),
     ("tests/model/tests", "Tests of a small network as a model"),
     ("tests", "Further tests"),
 ];
@@ -51,7 +51,7 @@ fn sentence(text: &str) -> String {
 }
 
 fn cases(root: &Path) -> io::Result<String> {
-    let folder = root.join("proof/conformance/src");
+    let folder = root.join("tests/cases/src");
     let files = [sources(&folder)?, sources(&folder.join("lss"))?].concat();
     let mut text = String::from("\n## Cases\n");
     for (name, groups) in [

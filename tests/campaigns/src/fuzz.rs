@@ -19,7 +19,7 @@ const RUSTFLAGS: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanit
 
 /// Run the library with coverage-guided inputs, and fail if an input breaks a rule
 ///
-/// Needs a C++ compiler, for libFuzzer. The rules are in proof/fuzz/README.md.
+/// Needs a C++ compiler, for libFuzzer. The rules are in fuzz/README.md.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Targets [default: all, one after the other]
@@ -32,7 +32,7 @@ pub struct Arguments {
 
 /// Fuzzes and prints the number of executions. If an input breaks a rule, fails with the command that repeats it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let (fuzz, out) = (workspace().join("proof/fuzz"), workspace().join("target/fuzz"));
+    let (fuzz, out) = (workspace().join("fuzz"), workspace().join("target/fuzz"));
     let programs = build(&fuzz, &out)?;
     let all = TARGETS.map(String::from);
     let targets = if arguments.target.is_empty() { &all[..] } else { &arguments.target };
