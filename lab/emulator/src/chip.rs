@@ -13,8 +13,6 @@ mod part;
 mod pwm;
 mod rcc;
 mod registers;
-mod rng;
-mod rtc;
 mod spi;
 mod supply;
 mod surroundings;
@@ -45,8 +43,6 @@ use map::{Block, is_on_apb};
 use part::Family;
 use rcc::{Rcc, RccF4};
 use registers::{Apb, Registers};
-use rng::Rng;
-use rtc::Rtc;
 use spi::Spi;
 pub use system::AtZero;
 use system::{Dbgmcu, Exti, Factory, Power, Pwr, Syscfg};
@@ -80,9 +76,7 @@ pub struct Chip {
     usarts: Vec<Usart>,
     /// SPI1 to SPI6 of an STM32F4.
     spis: Vec<Spi>,
-    rng: Rng,
     crc: Crc,
-    rtc: Rtc,
     gpio: Gpio,
     syscfg: Syscfg,
     exti: Exti,
@@ -141,9 +135,7 @@ impl Chip {
             timers: timer::KINDS.iter().map(Timer::new).collect(),
             usarts: usart::KINDS.iter().map(Usart::new).collect(),
             spis: spi::KINDS.iter().map(Spi::new).collect(),
-            rng: Rng::new(),
             crc: Crc::new(),
-            rtc: Rtc::new(),
             gpio: Gpio::new(part),
             syscfg: Syscfg::default(),
             exti: Exti::default(),
@@ -237,7 +229,6 @@ impl Chip {
         u128::from(self.flash.irq()) << 4
             | u128::from(self.adc.irq()) << 18
             | cans.fold(0, BitOr::bitor)
-            | u128::from(self.rng.irq()) << 80
             | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
             | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
             | self.spis.iter().map(Spi::irqs).fold(0, BitOr::bitor)
@@ -300,10 +291,8 @@ impl Chip {
         for block in self.gated().chain(others) {
             self.reset_block(block, now);
         }
-        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
         if cause == ResetCause::PowerOn {
             self.flash.power_on();
-            self.rtc = Rtc::new();
             self.dbgmcu = Dbgmcu::new(self.part);
         }
         self.share_filters();
@@ -346,7 +335,7 @@ impl Chip {
             .chain((0..self.spis.len()).map(Block::Spi))
             .chain((0..self.gpio.len()).map(Block::Gpio))
             .chain((0..self.cans.len()).map(Block::Can))
-            .chain([Block::Pwr, Block::Rng, Block::Crc, Block::Adc, Block::Syscfg])
+            .chain([Block::Pwr, Block::Crc, Block::Adc, Block::Syscfg])
     }
 
     fn is_clocked(&self, block: Block) -> bool {
@@ -405,9 +394,7 @@ impl Chip {
             Block::Timer(timer) => &mut self.timers[timer],
             Block::Usart(usart) => &mut self.usarts[usart],
             Block::Spi(spi) => &mut self.spis[spi],
-            Block::Rng => &mut self.rng,
             Block::Crc => &mut self.crc,
-            Block::Rtc => &mut self.rtc,
             Block::Iwdg => &mut self.iwdg,
             Block::Adc => &mut self.adc,
             Block::Can(can) => self.cans.get_mut(can)?,
@@ -491,8 +478,7 @@ impl Chip {
         value: u32,
         now: Time,
     ) -> Result<(), Problem> {
-        let is_backup_domain =
-            block == Block::Rtc || block == Block::Rcc && self.rcc.is_backup_domain(offset);
+        let is_backup_domain = block == Block::Rcc && self.rcc.is_backup_domain(offset);
         if is_backup_domain && !self.pwr.backup_domain_is_writable() {
             return Err(Problem::Misuse("the backup domain is written while DBP protects it"));
         }
@@ -523,7 +509,6 @@ impl Chip {
         let before = self.clocks();
         let written = self.rcc.write(offset, value, now);
         self.carry_out_resets(now);
-        self.rtc.set_clock(self.rcc.rtc_clock(self.variant.lsi_hz), now);
         if self.clocks() != before {
             self.follow_clocks(now);
         }
@@ -578,9 +563,6 @@ impl Chip {
         for block in self.gated().filter(is_held).collect::<Vec<_>>() {
             self.reset_block(block, now);
             self.can_written |= matches!(block, Block::Can(_));
-        }
-        if self.rcc.backup_domain_held_in_reset() {
-            self.rtc = Rtc::new();
         }
         self.share_filters();
         self.connect_cans(now);

@@ -24,8 +24,6 @@ pub(super) enum Block {
     Timer(usize),
     Usart(usize),
     Spi(usize),
-    Rtc,
-    Rng,
     Crc,
     Iwdg,
     Can(usize),
@@ -57,7 +55,6 @@ impl Block {
             0x4002_3C00..0x4002_4000 => Self::FlashRegisters,
             0xE004_2000..0xE004_2400 => Self::Dbgmcu,
             0x1FFF_0000..0x2000_0000 => Self::Factory,
-            0x5006_0800..0x5006_0C00 => Self::Rng,
             FLASH_BASE..CCM_BASE => return (Self::Flash, address - FLASH_BASE),
             _ => Self::Unknown,
         };
@@ -90,7 +87,6 @@ impl Block {
 
     fn at(place: Place) -> Self {
         match place {
-            (Apb::One, 10) => Self::Rtc,
             (Apb::One, 12) => Self::Iwdg,
             (Apb::One, 25..28) => Self::Can(place.1 as usize - 25),
             (Apb::One, 28) => Self::Pwr,
@@ -113,10 +109,9 @@ impl Block {
         let (bus, bit) = match self {
             Self::Gpio(port) if is_g4 => return Some((g4::AHB2ENR, port as u32)),
             Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
-            Self::Rng | Self::Adc | Self::Usart(_) | Self::Spi(_) if is_g4 => return None,
+            Self::Adc | Self::Usart(_) | Self::Spi(_) if is_g4 => return None,
             Self::Syscfg if is_g4 => (Apb::Two, 0),
             Self::Crc => return Some((rcc::AHB1ENR, 12)),
-            Self::Rng => return Some((rcc::AHB2ENR, 6)),
             Self::Timer(timer) => timer::KINDS[timer].place,
             Self::Usart(usart) => usart::KINDS[usart].place,
             Self::Spi(spi) => spi::KINDS[spi].place,

@@ -25,9 +25,6 @@ const LSION: u32 = 1 << 0;
 const RMVF: u32 = 1 << 24;
 const LSEON: u32 = 1 << 0;
 const RTCSEL: u32 = 0b11 << 8;
-const RTCEN: u32 = 1 << 15;
-const RTC_ON_LSI: u32 = RTCEN | 2 << 8;
-const RTC_ON_HSE: u32 = RTCEN | 3 << 8;
 const BDRST: u32 = 1 << 16;
 /// BDRST, RTCEN, RTCSEL, LSEBYP and LSEON.
 const BDCR_WRITABLE: u32 = 0x0001_8305;
@@ -155,15 +152,6 @@ pub trait Rcc: fmt::Debug + Send {
     /// Sets the clocks of the boot loader: 60 MHz by crystal and PLL, and CSS; USB and GPIOA have clocks.
     fn leave_loader(&mut self, _: Time) {
         unimplemented!("only the boot loader of an STM32F4 is modelled")
-    }
-
-    /// The frequency of the clock that the RTC gets, with LSI of `lsi_hz`; 0 if it gets none.
-    fn rtc_clock(&self, _: u32) -> u32 {
-        0
-    }
-
-    fn backup_domain_held_in_reset(&self) -> bool {
-        false
     }
 
     /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
@@ -470,19 +458,6 @@ impl Rcc for RccF4 {
         }
         self.hse_ready = now;
         self.pll_ready[0] = now;
-    }
-
-    fn rtc_clock(&self, lsi_hz: u32) -> u32 {
-        let divider = self.reg(CFGR) >> 16 & 0x1F;
-        match self.reg(Self::BDCR) & (RTCEN | RTCSEL) {
-            RTC_ON_LSI if self.reg(CSR) & LSION != 0 => lsi_hz,
-            RTC_ON_HSE if divider > 1 && self.reg(CR) & HSEON != 0 => self.crystal.hz / divider,
-            _ => 0,
-        }
-    }
-
-    fn backup_domain_held_in_reset(&self) -> bool {
-        self.reg(Self::BDCR) & BDRST != 0
     }
 
     fn nmi(&self) -> bool {

@@ -1,20 +1,14 @@
-//! Peripherals that start-up code of others touches: USART, RTC and the backup domain.
+//! Peripherals that start-up code of others touches: USART and the backup domain.
 
 use emulator::{
     Time,
     chip::{Part, Problem, ResetCause},
 };
 
-use crate::rig::{PWR_CR, RCC_APB1ENR, RCC_CSR, Rig};
+use crate::rig::{PWR_CR, RCC_APB1ENR, Rig};
 
 const RCC_BDCR: u32 = 0x4002_3870;
 const DBP: u32 = 1 << 8;
-const RTC_TR: u32 = 0x4000_2800;
-const RTC_DR: u32 = 0x4000_2804;
-const RTC_ISR: u32 = 0x4000_280C;
-const RTC_PRER: u32 = 0x4000_2810;
-const RTC_WPR: u32 = 0x4000_2824;
-const RTC_BKP0R: u32 = 0x4000_2850;
 
 #[test]
 fn a_usart_sends_the_bytes_of_an_enabled_transmitter() {
@@ -37,53 +31,21 @@ fn a_usart_sends_the_bytes_of_an_enabled_transmitter() {
 }
 
 fn unlock(rig: &mut Rig) {
-    rig.write_all(&[(RCC_APB1ENR, 1 << 28), (PWR_CR, DBP), (RTC_WPR, 0xCA), (RTC_WPR, 0x53)]);
-}
-
-#[test]
-fn the_calendar_is_set_in_initialisation_mode_after_the_keys() {
-    let mut rig = Rig::new(Part::Stm32f405);
-    unlock(&mut rig);
-    rig.write(RTC_ISR, 1 << 7);
-    assert_eq!(rig.read(RTC_ISR) & 0xF0, 0xC0, "INIT and INITF");
-    rig.write_all(&[(RTC_DR, 0x26_1122), (RTC_TR, 0x12_3456), (RTC_ISR, 0)]);
-    assert_eq!(rig.read(RTC_ISR) & 0xF0, 0x30, "RSF and INITS");
-    rig.write(RTC_WPR, 0xFF);
-    assert_eq!(rig.problems(), []);
-    rig.write(RTC_TR, 0);
-    assert!(matches!(rig.problems()[..], [Problem::Misuse(_)]));
-    assert_eq!(rig.read(RTC_TR), 0x12_3456);
-}
-
-#[test]
-fn the_sub_seconds_follow_the_clock_and_the_next_second_is_not_modelled() {
-    const RTC_SSR: u32 = 0x4000_2828;
-    let mut rig = Rig::new(Part::Stm32f405);
-    unlock(&mut rig);
-    rig.write_all(&[(RCC_CSR, 1), (RCC_BDCR, 1 << 15 | 2 << 8), (RTC_ISR, 1 << 7)]);
-    // LSI of 32 kHz, divided by 128 and by 250.
-    rig.write_all(&[(RTC_PRER, 0x007F_00F9), (RTC_TR, 0x23_5959), (RTC_ISR, 0)]);
-    for (ms, subseconds) in [(0, 249), (4, 248), (999, 0)] {
-        rig.at(Time::from_ms(ms));
-        assert_eq!([RTC_TR, RTC_SSR].map(|at| rig.read(at)), [0x23_5959, subseconds]);
-    }
-    assert_eq!(rig.problems(), []);
-    rig.at(Time::from_s(1)).read(RTC_TR);
-    assert_eq!(rig.problems(), [Problem::Unmodelled]);
+    rig.write_all(&[(RCC_APB1ENR, 1 << 28), (PWR_CR, DBP)]);
 }
 
 #[test]
 fn the_backup_domain_is_protected_until_dbp_and_survives_all_but_power_on() {
     let mut rig = Rig::new(Part::Stm32f405);
-    rig.write_all(&[(RTC_BKP0R, 7), (RCC_BDCR, 1 << 15)]);
-    assert_eq!(rig.problems().len(), 2);
-    assert_eq!([RTC_BKP0R, RCC_BDCR].map(|at| rig.read(at)), [0, 0]);
+    rig.write(RCC_BDCR, 1 << 15);
+    assert!(matches!(rig.problems()[..], [Problem::Misuse(_)]));
+    assert_eq!(rig.read(RCC_BDCR), 0);
     unlock(&mut rig);
-    rig.write_all(&[(RTC_BKP0R, 7), (RCC_BDCR, 1 << 15 | 2 << 8)]);
+    rig.write(RCC_BDCR, 1 << 15 | 2 << 8);
     rig.reset(ResetCause::Software, Time::ZERO);
-    assert_eq!([RTC_BKP0R, RCC_BDCR].map(|at| rig.read(at)), [7, 0x8200]);
+    assert_eq!(rig.read(RCC_BDCR), 0x8200);
     rig.reset(ResetCause::PowerOn, Time::ZERO);
-    assert_eq!([RTC_BKP0R, RCC_BDCR].map(|at| rig.read(at)), [0, 0]);
+    assert_eq!(rig.read(RCC_BDCR), 0);
 }
 
 #[test]
