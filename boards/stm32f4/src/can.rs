@@ -2,12 +2,8 @@
 
 mod bit_timing;
 mod controller;
-#[cfg(target_os = "none")]
 mod peripheral;
 mod pins;
-
-#[cfg(test)]
-use crate::tests::peripheral;
 
 pub use controller::Controller;
 pub use peripheral::Peripheral;

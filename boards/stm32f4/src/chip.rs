@@ -134,10 +134,7 @@ pub const RUN: Run = CHIP.run(cfg!(feature = "signed"));
 pub const UNIQUE_ID: usize = 0x1FFF_7A10;
 
 /// Sectors 1 and 2 of the flash, which `memory.x` keeps free of code.
-#[cfg(not(test))]
 pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
-#[cfg(test)]
-pub use stm32f4xx_hal::memory::SETTINGS;
 
 /// The clock of the CAN controllers in Hz: the only whole number of MHz up to 50 with which all eight bit rates are
 /// exact and tolerate crystals that are 0.5 % off (docs/bit-rates.md).

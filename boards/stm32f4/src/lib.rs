@@ -1,31 +1,21 @@
 //! An STM32F4 board for a CANopen node with LSS: clocks, CAN controller, settings in flash, and the calls that a
-//! product's tasks make. On a computer there are only the [chips](chip), and for tests the drivers,
-//! over a chip in plain memory.
+//! product's tasks make. On a computer there are only the [chips](chip).
 
 #![no_std]
-// The tests use the drivers without the runner and the board, which call the rest of them.
-#![cfg_attr(test, allow(dead_code))]
-
-#[cfg(test)]
-extern crate plain_chip as cortex_m;
-#[cfg(test)]
-extern crate plain_chip as defmt;
-#[cfg(test)]
-extern crate plain_chip as stm32f4xx_hal;
 
 pub mod chip;
 
 #[cfg(target_os = "none")]
 pub mod board;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 pub mod can;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 mod clock;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 mod crystal;
 #[cfg(target_os = "none")]
 mod fault;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 mod flash;
 #[cfg(target_os = "none")]
 mod led;
@@ -39,12 +29,10 @@ pub mod master;
 mod runner;
 #[cfg(target_os = "none")]
 mod start;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 mod supply;
-#[cfg(any(target_os = "none", test))]
+#[cfg(target_os = "none")]
 mod task;
-#[cfg(test)]
-mod tests;
 #[cfg(feature = "update")]
 pub mod update;
 #[cfg(target_os = "none")]
@@ -59,5 +47,3 @@ pub use crate::{
     runner::{Runner, Storage},
     watchdog::Watchdog,
 };
-#[cfg(test)]
-use tests::start;
