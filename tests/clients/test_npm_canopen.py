@@ -1,18 +1,13 @@
 """Tests the release firmware with the npm package canopen: node/session.js, node/example.js."""
 
 import os
-import shutil
 import subprocess
 import threading
-
-import pytest
 
 from boards import EDS, HERE, WORKSPACE, Boards
 
 MODULES = WORKSPACE / "target" / "clients-node" / "node_modules"
 ENVIRONMENT = {**os.environ, "NODE_PATH": str(MODULES)}
-
-pytestmark = pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
 
 
 def test_npm_canopen_commissions_and_uses_a_blank_board():

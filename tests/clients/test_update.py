@@ -1,6 +1,5 @@
 """python-canopen, npm canopen and `lss update` install a new program on emulated boards with a loader."""
 
-import shutil
 import subprocess
 import zlib
 
@@ -77,7 +76,6 @@ def test_python_canopen_installs_a_program_on_two_boards(kit, boards, tmp_path):
     assert printed.count("0.2.0, has it already") == len(NODE_IDS)
 
 
-@pytest.mark.skipif(shutil.which("npm") is None, reason="npm is missing")
 def test_npm_canopen_installs_a_program_on_a_board(kit, boards, tmp_path):
     file = newer((kit / "lss-node.update.bin").read_bytes())
     path = tmp_path / "newer.update.bin"
