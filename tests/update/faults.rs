@@ -62,7 +62,7 @@ fn a_write_protected_sector_is_reported_and_the_old_program_stays() {
         let mut rig = stopped();
         rig.0.network.board(0).chip().flash_mut().protect_sectors(1 << sector);
         let name = format!("sector {sector}");
-        assert_eq!(rig.status_of_clear(), Status::NotAllowed.value(false), "{name}");
+        assert_eq!(rig.status_of_clear(), Status::Protected.value(false), "{name}");
         rig.0.network.board(0).chip().flash_mut().protect_sectors(0);
         rig.recovers(&name);
     }

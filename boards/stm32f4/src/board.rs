@@ -17,6 +17,7 @@ use crate::{
     crystal::{self, Crystal},
     fault,
     flash::{self, SettingsFlash},
+    pll,
     runner::{Runner, Storage},
     start,
     supply::Supply,
@@ -47,24 +48,17 @@ impl Board {
     /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
     pub fn new(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
         Self::with_clocks(chip, core, crystal, |clocks| {
-            let mut config = Config::hse(Hertz::from_raw(crystal.hz))
-                .sysclk(Hertz::from_raw(SYSCLK_HZ))
-                .pclk1(Hertz::from_raw(APB1_HZ));
-            if crystal.is_external_clock {
-                config = config.bypass_hse_oscillator();
-            }
-            // Waits for the PLL, 0.3 ms at most while the crystal runs; if the crystal stops, an interrupt ends the wait
-            // too.
-            clocks.freeze(config)
+            // The HAL takes the clock of the PLL for that of the crystal, and leaves the PLL itself to us.
+            clocks.freeze(Config::hse(Hertz::from_raw(SYSCLK_HZ)).pclk1(Hertz::from_raw(APB1_HZ)))
         })
     }
 
-    /// The same with this way to let the core run from the PLL.
+    /// The same, with this way to the HAL's clocks.
     pub(crate) fn with_clocks(
         chip: Peripherals,
         core: &cortex_m::Peripherals,
         crystal: Crystal,
-        start_pll: impl FnOnce(RCC) -> Rcc,
+        freeze: impl FnOnce(RCC) -> Rcc,
     ) -> Self {
         start::restore(core, &chip.clocks, &chip.flash);
         fault::guard_stack(&core.MPU);
@@ -72,7 +66,8 @@ impl Board {
         let watchdog = Watchdog::start(chip.watchdog, chip.debug);
         let supply = Supply::wait(chip.power);
         crystal::start(crystal, &chip.clocks);
-        let mut rcc = start_pll(chip.clocks);
+        let mut rcc = freeze(chip.clocks);
+        pll::run_from(pll::FROM_CRYSTAL | (crystal.hz / 1_000_000), &rcc);
         crystal::check(crystal, &rcc);
         let alarm = Alarm::new(chip.timer, &mut rcc);
         let flash = SettingsFlash::new(chip.flash, supply);

@@ -74,6 +74,8 @@ impl SettingsFlash {
     ) -> Result<(), FlashError> {
         let width = if self.supply.is_low() { Width::Byte } else { Width::Word };
         let flash = &self.registers;
+        // What the data cache reads while the flash is busy may be wrong (ES0206, 2.2.12), and what it holds will be old.
+        flash.acr().modify(|_, w| w.dcen().clear_bit());
         // SAFETY: the two keys, in this order, unlock FLASH_CR (RM0090, 3.6.1); error bits are cleared by writing 1.
         unsafe {
             if flash.cr().read().lock().bit_is_set() {
@@ -84,8 +86,6 @@ impl SettingsFlash {
         }
         let outcome = operation(self, width);
         flash.cr().write(|w| w.lock().set_bit());
-        // The data cache may hold old content.
-        flash.acr().modify(|_, w| w.dcen().clear_bit());
         flash.acr().modify(|_, w| w.dcrst().set_bit());
         flash.acr().modify(|_, w| w.dcrst().clear_bit());
         flash.acr().modify(|_, w| w.dcen().set_bit());

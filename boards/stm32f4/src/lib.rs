@@ -26,6 +26,8 @@ mod mailbox;
 #[cfg(target_os = "none")]
 pub mod master;
 #[cfg(target_os = "none")]
+mod pll;
+#[cfg(target_os = "none")]
 mod runner;
 #[cfg(target_os = "none")]
 mod start;

@@ -5,8 +5,6 @@ mod areas;
 #[cfg(target_os = "none")]
 mod boot;
 #[cfg(target_os = "none")]
-mod clocks;
-#[cfg(target_os = "none")]
 pub mod loader;
 mod objects;
 #[cfg(target_os = "none")]

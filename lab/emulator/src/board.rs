@@ -270,6 +270,9 @@ impl Board {
             self.browned_out = false;
             self.powered = true;
             self.start(ResetCause::BrownOut, self.dark);
+        } else if self.powered {
+            let now = self.now();
+            self.chip().check_supply(now);
         }
     }
 

@@ -99,6 +99,8 @@ const ROLES: [Role; 3] = [Role::Master, Role::Slave, Role::Single];
 const CAN_INTERRUPTS: [usize; 3] = [19, 63, 74];
 /// The first interrupt of FDCAN1 (RM0440 table 97).
 const FDCAN_INTERRUPT: usize = 21;
+/// The least supply in mV with which the flash may prefetch (RM0090 3.5.1).
+const LEAST_FOR_PREFETCH_MV: u32 = 2_100;
 
 impl Chip {
     /// A nominal chip with erased flash at power-on, with `crystal` at HSE.
@@ -569,10 +571,12 @@ impl Chip {
     }
 
     fn check_latency(&self) -> Result<(), Problem> {
-        if self.flash.latency()
-            < self.part.wait_states(self.clocks().hclk.hz, self.pwr.is_boosted())
-        {
-            return Err(Problem::Misuse("too few flash wait states for this HCLK"));
+        let (hclk, supply_mv) = (self.clocks().hclk.hz, self.pwr.supply());
+        if self.flash.latency() < self.part.wait_states(hclk, self.pwr.is_boosted(), supply_mv) {
+            return Err(Problem::Misuse("too few flash wait states for this HCLK and supply"));
+        }
+        if self.flash.prefetches() && supply_mv < LEAST_FOR_PREFETCH_MV {
+            return Err(Problem::Misuse("prefetch of the flash at a supply below 2.1 V"));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! What the objects of an update answer: abort codes, the status 1F57h, the state 2001h.
 
-use crate::header::Field;
+use crate::{flash::FlashError, header::Field};
 
 /// An object of program download (CiA 302-3), or the state of the update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,11 +51,28 @@ pub enum Status {
     WriteFailed,
     /// 6: the program is longer than its place.
     TooLong,
-    /// 7: the flash is write-protected, or the supply is too low.
-    NotAllowed,
+    /// 7: the flash is write-protected.
+    Protected,
+    /// 8: the supply is too low to write the flash.
+    SupplyLow,
+}
+
+impl From<FlashError> for Status {
+    fn from(error: FlashError) -> Self {
+        match error {
+            FlashError::Failed => Self::WriteFailed,
+            FlashError::Protected => Self::Protected,
+            FlashError::SupplyLow => Self::SupplyLow,
+        }
+    }
 }
 
 impl Status {
+    /// Whether the flash is the cause.
+    pub(crate) const fn is_of_flash(self) -> bool {
+        matches!(self, Self::WriteFailed | Self::Protected | Self::SupplyLow)
+    }
+
     /// The value of 1F57h: busy in bit 0, the status in bits 1 to 7, the header field in bits 16 to 31.
     pub const fn value(self, busy: bool) -> u32 {
         let (status, field) = match self {
@@ -66,7 +83,8 @@ impl Status {
             Self::NotCleared => (4, 0),
             Self::WriteFailed => (5, 0),
             Self::TooLong => (6, Field::Length as u32),
-            Self::NotAllowed => (7, 0),
+            Self::Protected => (7, 0),
+            Self::SupplyLow => (8, 0),
         };
         field << 16 | status << 1 | busy as u32
     }

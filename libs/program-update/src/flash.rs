@@ -19,8 +19,10 @@ pub enum Area {
 pub enum FlashError {
     /// It ended with an error, did not end, or reads back otherwise than written.
     Failed,
-    /// The sector is write-protected, or the supply is too low to write.
-    NotAllowed,
+    /// The sector is write-protected.
+    Protected,
+    /// The supply is too low to write.
+    SupplyLow,
 }
 
 /// The flash with the areas RUN and BACKUP.

@@ -160,8 +160,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         }
         match outcome.and_then(|()| self.step()) {
             Ok(action) => action,
-            Err(FlashError::Failed) => self.fail(Status::WriteFailed),
-            Err(FlashError::NotAllowed) => self.fail(Status::NotAllowed),
+            Err(error) => self.fail(error.into()),
         }
     }
 
@@ -283,7 +282,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             self.download.begin(Phase::Receiving);
         }
         if self.download.phase != Phase::Receiving || offset != self.download.received() {
-            let has_failed = matches!(self.status, Status::WriteFailed | Status::NotAllowed);
+            let has_failed = self.status.is_of_flash();
             return Err(match () {
                 () if has_failed => Abort::Hardware,
                 () if self.is_unsigned() => Abort::NotStored,

@@ -9,10 +9,10 @@ use cortex_m_rt as _;
 use program_update::start::{self, Cause, Start, Why};
 use stm32f4xx_hal::pac::{FLASH, IWDG, PWR, RCC};
 
-use super::{areas::Areas, clocks};
+use super::areas::Areas;
 use crate::{
     chip::RUN,
-    mailbox,
+    mailbox, pll,
     start::{comes_in_100_ms, restore},
     supply::Supply,
 };
@@ -28,7 +28,8 @@ unsafe extern "C" {
     static __loader_end: u32;
 }
 
-/// Copies the loader from sectors 0 and 3 to the RAM and starts it there: 1 ms.
+/// Copies the loader from sectors 0 and 3 to the RAM and starts it there: 1 ms. A boot loader in ROM may have left its
+/// vector table and the security system of the crystal.
 // SAFETY: the entry after a reset; it uses no stack.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
@@ -36,6 +37,9 @@ unsafe extern "C" {
 unsafe extern "C" fn Boot() -> ! {
     naked_asm!(
         "cpsid i",
+        "mov r0, #0x08000000",
+        "ldr r1, =0xE000ED08", // VTOR
+        "str r0, [r1]",
         "ldr r0, ={boot_end}",
         "ldr r1, ={loader}",
         "ldr r2, ={loader_sector3}",
@@ -62,6 +66,21 @@ unsafe extern "C" fn Boot() -> ! {
     )
 }
 
+/// Resets the chip after a fault of `Boot`, or a failure of the crystal meanwhile.
+// SAFETY: an exception that does not return; it uses no stack.
+#[unsafe(naked)]
+#[unsafe(no_mangle)]
+#[unsafe(link_section = ".boot")]
+unsafe extern "C" fn BootFault() -> ! {
+    naked_asm!(
+        "ldr r0, =0xE000ED0C", // AIRCR
+        "ldr r1, =0x05FA0004", // SYSRESETREQ
+        "str r1, [r0]",
+        "b .",
+        ".ltorg",
+    )
+}
+
 /// The reset flags of RCC_CSR: window and independent watchdog, and software.
 const FAILURES: u32 = 1 << 30 | 1 << 29 | 1 << 28;
 
@@ -73,7 +92,7 @@ pub fn start_or_stay(core: &cortex_m::Peripherals) -> Why {
     start_watchdog();
     Supply::wait(power);
     // The check of 100 KB takes 2 ms, not 19.
-    clocks::run_from(clocks::FROM_HSI, &rcc);
+    pll::run_from(pll::FROM_HSI, &rcc);
     let is_failure = rcc.csr().read().bits() & FAILURES != 0;
     let cause = if is_failure { Cause::Failure } else { Cause::Other };
     let mut areas = Areas::new(polls);

@@ -21,12 +21,11 @@ use program_update::{Action, Command, Expected, Updater, crc, header, start::Why
 #[cfg(feature = "signed")]
 use program_update::{Area, Flash, Signed as Checked, header::HEADER_LEN};
 use rtic_core::Mutex;
-use stm32f4xx_hal::pac::FLASH;
+use stm32f4xx_hal::{pac::FLASH, rcc::RccExt};
 
 pub use super::boot::start_or_stay;
 use super::{
     areas::Areas,
-    clocks,
     objects::{code, object},
 };
 use crate::{
@@ -184,7 +183,7 @@ pub struct Work {
 impl Board {
     /// As [`new`](Self::new), for the loader.
     pub fn of_loader(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
-        Self::with_clocks(chip, core, crystal, |rcc| clocks::start(crystal, rcc))
+        Self::with_clocks(chip, core, crystal, RccExt::constrain)
     }
 
     /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.

@@ -27,6 +27,7 @@ const OPTCR1: u32 = 0x18;
 const ECCR: u32 = 0x100;
 const OPTR: u32 = 0x104;
 
+const ACR_PRFTEN: u32 = 1 << 8;
 const ACR_ICEN: u32 = 1 << 9;
 const ACR_DCEN: u32 = 1 << 10;
 const ACR_ICRST: u32 = 1 << 11;
@@ -208,6 +209,10 @@ impl Flash {
         self.acr & 0xF
     }
 
+    pub(super) fn prefetches(&self) -> bool {
+        self.part.family() == Family::F4 && self.acr & ACR_PRFTEN != 0
+    }
+
     /// The time at which the bank that holds `offset` can be read again, if it is busy at `now`.
     pub fn busy_until(&self, offset: u32, now: Time) -> Option<Time> {
         let operation = self.operation.as_ref().filter(|operation| now < operation.end)?;
@@ -375,7 +380,19 @@ impl Flash {
         self.stale_data_cache = self.acr & ACR_DCEN != 0 || self.stale_data_cache;
         let end = now + time;
         self.begin(Operation { end, range, before, kind: Kind::Erase }, now);
-        if is_paged { Ok(()) } else { self.check_parallelism() }
+        if is_paged {
+            Ok(())
+        } else {
+            self.check_parallelism().and_then(|()| self.check_data_cache())
+        }
+    }
+
+    /// Erratum "data cache might be corrupted during flash memory read-while-write operation" (ES0206 2.2.12).
+    fn check_data_cache(&self) -> Result<(), Problem> {
+        match self.acr & ACR_DCEN {
+            0 => Ok(()),
+            _ => Err(Problem::Misuse("the data cache is on while the flash programs or erases")),
+        }
     }
 
     /// A store of the CPU to flash address `offset`: programs it or sets the appropriate error flag.
@@ -416,7 +433,10 @@ impl Flash {
             let end = now + self.timing.program();
             self.begin(Operation { end, range, before, kind: Kind::Program }, now);
         }
-        if self.cr & CR_PG != 0 { self.check_parallelism() } else { Ok(()) }
+        if self.cr & CR_PG == 0 {
+            return Ok(());
+        }
+        self.check_parallelism().and_then(|()| self.check_data_cache())
     }
 
     /// Whether the next operation fails, if this number of failures is staged.

@@ -250,9 +250,23 @@ impl Part {
         }
     }
 
-    /// The flash wait states that `hclk_hz` needs at 2.7..3.6 V (chapter "Embedded flash memory interface"), on the G431
-    /// in range 1 with boost or without.
-    pub(super) const fn wait_states(self, hclk_hz: u32, is_boosted: bool) -> u32 {
+    /// The flash wait states that `hclk_hz` needs at a supply (chapter "Embedded flash memory interface"), on the G431
+    /// at any, in range 1 with boost or without.
+    ///
+    /// Below 2.7 V the manual of the chips of 100 MHz was not available: the steps are those of a related one, or less.
+    pub(super) const fn wait_states(self, hclk_hz: u32, is_boosted: bool, supply_mv: u32) -> u32 {
+        let low_supply = match (self.line(), supply_mv) {
+            (Line::G431, _) | (_, 2_700..) => None,
+            (Line::F412 | Line::F413, 2_400..) => Some(20),
+            (Line::F412 | Line::F413, 2_100..) => Some(18),
+            (Line::F412 | Line::F413, _) => Some(16),
+            (_, 2_400..) => Some(24),
+            (_, 2_100..) => Some(22),
+            _ => Some(20),
+        };
+        if let Some(mhz) = low_supply {
+            return hclk_hz.saturating_sub(1) / (mhz * MHZ);
+        }
         match self.line() {
             Line::G431 if is_boosted => hclk_hz.saturating_sub(1) / (34 * MHZ),
             Line::F412 if hclk_hz <= 30 * MHZ => 0,

@@ -1,7 +1,10 @@
 //! The chip's external circuit: the supply and the crystal.
 
-use super::Chip;
+use super::{Access, Chip, Width};
 use crate::Time;
+
+/// FLASH_ACR, which limits the supply.
+const FLASH_ACR: u32 = 0x4002_3C00;
 
 impl Chip {
     /// Sets the supply in mV. It affects only the voltage detector and the checks of legal settings; a reset at low
@@ -9,6 +12,14 @@ impl Chip {
     pub fn set_supply(&mut self, mv: u32) {
         self.pwr.set_supply(mv);
         self.flash.set_supply(mv);
+    }
+
+    /// Reports that the supply has become too low for the clock of a chip that runs.
+    pub fn check_supply(&mut self, now: Time) {
+        if let Err(problem) = self.check_latency() {
+            let access = Access { address: FLASH_ACR, width: Width::Word, now, pc: 0 };
+            self.report(access, None, problem);
+        }
     }
 
     /// Whether the supply is too low to leave the reset, if `was_low`, or to stay out of it.

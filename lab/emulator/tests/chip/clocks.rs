@@ -65,10 +65,35 @@ fn each_manual_has_its_own_number_of_wait_states() {
         (Part::Stm32f469, 160, 5),
     ] {
         assert_eq!(problems_at(part, mhz, wait_states, None), [], "{part:?} {mhz} MHz");
-        let too_few = Problem::Misuse("too few flash wait states for this HCLK");
+        let too_few = Problem::Misuse("too few flash wait states for this HCLK and supply");
         let found = problems_at(part, mhz, wait_states - 1, None);
         assert_eq!(found, [too_few], "{part:?} {mhz} MHz");
     }
+}
+
+#[test]
+fn each_supply_has_its_own_number_of_wait_states_and_below_2_1_v_no_prefetch() {
+    for (part, mv, mhz, wait_states) in [
+        (Part::Stm32f405, 2_700, 160, 5),
+        (Part::Stm32f405, 2_699, 160, 6),
+        (Part::Stm32f446, 2_399, 160, 7),
+        (Part::Stm32f405, 2_099, 160, 7),
+        (Part::Stm32f412, 2_399, 80, 4),
+    ] {
+        let mut rig = Rig::new(part);
+        rig.set_supply(mv);
+        switch_to_pll(&mut rig, mhz, wait_states, 5 << 13 | 6 << 10);
+        assert_eq!(rig.problems(), [], "{part:?} {mv} mV");
+        let too_few = Problem::Misuse("too few flash wait states for this HCLK and supply");
+        rig.write(FLASH_ACR, wait_states - 1);
+        assert_eq!(rig.problems(), [too_few], "{part:?} {mv} mV");
+    }
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write(FLASH_ACR, 1 << 8);
+    rig.set_supply(2_099);
+    rig.check_supply(Time::ZERO);
+    let prefetch = Problem::Misuse("prefetch of the flash at a supply below 2.1 V");
+    assert_eq!(rig.problems(), [prefetch]);
 }
 
 #[test]
@@ -185,7 +210,7 @@ fn sysclk_does_not_follow_to_a_source_that_is_not_ready() {
 #[test]
 fn too_few_wait_states_and_apb1_above_42_mhz_are_found_while_the_pll_runs() {
     for (register, value, problem) in [
-        (FLASH_ACR, 3, "too few flash wait states for this HCLK"),
+        (FLASH_ACR, 3, "too few flash wait states for this HCLK and supply"),
         (RCC_CFGR, 4 << 13 | 4 << 10 | 2, "SYSCLK, APB1 or APB2 above the part's limit"),
     ] {
         let mut rig = at_128_mhz(Part::Stm32f407);

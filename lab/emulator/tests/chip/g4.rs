@@ -70,7 +70,7 @@ fn fdcan_is_clocked_by_crystal_pll_or_apb1() {
 #[test]
 fn speed_needs_wait_states_and_above_150_mhz_the_boost() {
     let problems = |n, wait_states, boost| on_pll(n, wait_states, boost).problems();
-    let few = Problem::Misuse("too few flash wait states for this HCLK");
+    let few = Problem::Misuse("too few flash wait states for this HCLK and supply");
     let fast = Problem::Misuse("HCLK above the limit of the voltage scale (PWR_CR.VOS)");
     assert_eq!(problems(80, 5, false), [fast]);
     assert_eq!(problems(80, 3, true), [few]);

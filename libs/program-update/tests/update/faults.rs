@@ -45,7 +45,8 @@ fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
     };
     assert!(operations.len() > 250);
     for fails in operations {
-        for how in [Some(FlashError::Failed), Some(FlashError::NotAllowed), None] {
+        let hows = [FlashError::Failed, FlashError::Protected, FlashError::SupplyLow].map(Some);
+        for how in hows.into_iter().chain([None]) {
             let (mut device, mut loader) = stopped();
             {
                 let mut state = device.chip.0.borrow_mut();
@@ -60,8 +61,12 @@ fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
             // A word that is blank anyway may be stuck.
             if how.is_some() || outcome.is_err() {
                 assert!(outcome.is_err(), "{fails:?} {how:?}");
-                let is_allowed = how != Some(FlashError::NotAllowed);
-                assert_eq!(status, if is_allowed { 5 << 1 } else { 7 << 1 }, "{fails:?} {how:?}");
+                let expected = match how {
+                    Some(FlashError::Failed) | None => 5,
+                    Some(FlashError::Protected) => 7,
+                    Some(FlashError::SupplyLow) => 8,
+                };
+                assert_eq!(status, expected << 1, "{fails:?} {how:?}");
                 let is_there = |area| device.chip.holds(area, &old);
                 assert!(is_there(Area::Run) || is_there(Area::Backup), "{fails:?} {how:?}");
             }
@@ -120,7 +125,7 @@ fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
     let (mut device, mut loader) = stopped();
     device.update(&mut loader, 1).expect("power").expect("it is right");
     let erase = Operation::Erase(Area::Run);
-    device.chip.0.borrow_mut().fault = Some((erase, FlashError::NotAllowed));
+    device.chip.0.borrow_mut().fault = Some((erase, FlashError::Protected));
     for _ in 0..3 {
         device.start().expect("power");
     }

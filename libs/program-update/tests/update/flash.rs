@@ -147,7 +147,7 @@ impl State {
             && fails == operation
         {
             self.outcome = Err(how);
-            if how == FlashError::NotAllowed {
+            if how != FlashError::Failed {
                 self.busy = 0;
                 return Err(how);
             }

@@ -202,7 +202,8 @@ fn a_program_that_is_not_confirmed_is_taken_back() {
 fn a_board_whose_flash_fails_says_so_and_the_others_go_on() {
     for (fault, words) in [
         (FlashError::Failed, "its flash cannot be erased or written"),
-        (FlashError::NotAllowed, "its flash is write-protected, or its supply is too low"),
+        (FlashError::Protected, "its flash is write-protected"),
+        (FlashError::SupplyLow, "its supply is too low to write the flash"),
     ] {
         let fleet = Fleet::new(&[5, 6]);
         fleet.board(0).chip.borrow_mut().fault = Some(fault);

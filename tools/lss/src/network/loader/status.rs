@@ -19,7 +19,8 @@ pub fn words(status: u32) -> String {
         4 => "it was not cleared".into(),
         5 => "its flash cannot be erased or written. If it stays so, exchange the board".into(),
         6 => "the program is too long for it".into(),
-        7 => "its flash is write-protected, or its supply is too low".into(),
+        7 => "its flash is write-protected".into(),
+        8 => "its supply is too low to write the flash".into(),
         other => format!("status {other} of 1F57h, which is not known"),
     }
 }
