@@ -1,11 +1,18 @@
 //! `cargo eds`: writes the electronic data sheet of the product.
 
-use std::{env, fs, io, path::PathBuf};
+use std::{fs, io, path::Path};
 
 use @crate@::{application, device::{self, DEVICE}};
 use testkit::eds::{DataSheet, Product};
 
 fn main() -> io::Result<()> {
+    fs::write(Path::new(env!("CARGO_MANIFEST_DIR")).join("@name@.eds"), sheet())?;
+    println!("@name@.eds");
+    Ok(())
+}
+
+/// The data sheet.
+pub fn sheet() -> String {
     let product = Product {
         file_name: "@name@.eds",
         vendor_name: device::VENDOR_NAME,
@@ -13,9 +20,5 @@ fn main() -> io::Result<()> {
         device: DEVICE,
     };
     let objects = application::Node::entries(&product.device);
-    let sheet = DataSheet::new(product, objects, &application::Application::new());
-    let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
-    fs::write(folder.join("@name@.eds"), sheet.eds())?;
-    println!("@name@.eds");
-    Ok(())
+    DataSheet::new(product, objects, &application::Application::new()).eds()
 }

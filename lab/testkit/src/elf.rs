@@ -1,5 +1,6 @@
-//! The sections of a linked program.
+//! The sections of a linked program, and the memory that it takes.
 
+use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
 pub use object::{Object, ObjectSection, ObjectSymbol, Result, SectionKind, SymbolKind};
 use object::{SectionFlags, elf, read::elf::ElfFile32};
 
@@ -33,4 +34,32 @@ pub fn sections(file: &Elf) -> Result<Vec<Section>> {
         })
     };
     file.sections().filter(occupied).map(section).collect()
+}
+
+impl Section {
+    /// Whether it takes flash.
+    pub fn is_in_flash(&self) -> bool {
+        self.is_loaded && self.address >= FLASH_BASE
+    }
+
+    fn is_in_ram(&self) -> bool {
+        self.address >= RAM_BASE
+    }
+}
+
+/// The table of the flash and the RAM that each section of an ELF file takes, and the flash that all take, in bytes.
+pub fn size(elf: &[u8], part: Part) -> Result<(String, u64)> {
+    let sections = sections(&Elf::parse(elf)?)?;
+    let sum = |of: fn(&Section) -> bool| -> u64 {
+        sections.iter().filter(|section| of(section)).map(|section| section.bytes).sum()
+    };
+    let (flash, ram) = (sum(Section::is_in_flash), sum(Section::is_in_ram));
+    let mut report = format!("{:16} {:>8} {:>8}\n", part.name(), "flash", "RAM");
+    for section in &sections {
+        let column = |takes: bool| if takes { section.bytes.to_string() } else { String::new() };
+        let (flash, ram) = (column(section.is_in_flash()), column(section.is_in_ram()));
+        report += &format!("{:16} {flash:>8} {ram:>8}\n", section.name);
+    }
+    report += &format!("{:16} {flash:>8} {ram:>8}\n", "total");
+    Ok((report, flash))
 }

@@ -86,10 +86,12 @@ pub fn build_product(directory: &str, name: &str, part: Part) -> anyhow::Result<
     Ok(Image::from_elf(&build_with(Path::new(directory), name, part, |_| ())?)?)
 }
 
-/// Builds the release firmware for `part` for others: the ELF file. It does not depend on the `directory`, which holds the
-/// workspace or a copy of it, nor on the folder of cargo's registry, which is `cargo_home` or the usual one.
-pub fn build_release(
+/// Builds the program of a package for others: the ELF file. It does not depend on the `directory`, which holds the package
+/// or a copy of it, nor on the folder of cargo's registry, which is `cargo_home` or the usual one.
+#[cfg(feature = "products")]
+pub(crate) fn build_release(
     directory: &Path,
+    package: &str,
     cargo_home: Option<&Path>,
     part: Part,
 ) -> anyhow::Result<Vec<u8>> {
@@ -99,12 +101,17 @@ pub fn build_release(
     };
     let home = cargo_home.map(Path::to_owned).or_else(usual_home);
     // The debug information and the locations of panics contain the paths of the sources.
-    let new_names = [(Some(directory), "/lss-slave"), (home.as_deref(), "/cargo")];
+    // Of several that fit the last one counts.
+    let new_names = [
+        (Some(workspace()), "/lss-slave"),
+        (Some(directory), if package == FIRMWARE { "/lss-slave" } else { package }),
+        (home.as_deref(), "/cargo"),
+    ];
     let new_names = new_names.into_iter().filter_map(|(path, name)| {
         path.map(|path| format!("--remap-path-prefix={}={name}", path.display()))
     });
     let flags = new_names.collect::<Vec<_>>().join("\u{1f}");
-    build_with(directory, FIRMWARE, part, |command| {
+    build_with(directory, package, part, |command| {
         command.args(["--locked", "--target-dir"]).arg(directory.join("target"));
         command.env("CARGO_ENCODED_RUSTFLAGS", &flags);
         if let Some(home) = cargo_home {

@@ -29,6 +29,8 @@ pub mod parallel;
 pub mod power_cut;
 #[cfg(feature = "products")]
 pub mod product;
+#[cfg(feature = "products")]
+pub mod release;
 pub mod sdo;
 pub mod sdo_messages;
 #[cfg(feature = "image")]

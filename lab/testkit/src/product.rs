@@ -20,13 +20,14 @@ const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
 
 /// The other files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 10] = [
+const TEMPLATE: [&str; 11] = [
     ".cargo/config.toml",
     "Cargo.toml",
     "README.md",
     "build.rs",
     "ci.sh",
     "examples/eds.rs",
+    "examples/release_files.rs",
     "memory.x",
     "src/application.rs",
     "src/flash.rs",

@@ -18,7 +18,7 @@ use crate::address::{self, Assigned, Which};
 #[derive(Parser)]
 #[command(
     name = "lss",
-    version,
+    version = concat!(env!("CARGO_PKG_VERSION"), " (commit ", env!("COMMIT"), ")"),
     verbatim_doc_comment,
     next_help_heading = "Options of every command"
 )]

@@ -2,12 +2,12 @@
 
 pub mod chips;
 mod controller;
+pub mod dist;
 pub mod eds;
 pub mod emulate;
 pub mod example;
 pub mod flash;
 pub mod new_product;
-pub mod release;
 pub mod size;
 pub mod tool;
 

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use xtask::{chips, eds, emulate, flash, new_product, release, size};
+use xtask::{chips, dist, eds, emulate, flash, new_product, size};
 
 #[derive(Parser)]
 #[command(
@@ -22,22 +22,22 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Chips(chips::Arguments),
+    Dist(dist::Arguments),
     Eds(eds::Arguments),
     Emulate(emulate::Arguments),
     Flash(flash::Arguments),
     NewProduct(new_product::Arguments),
-    Release(release::Arguments),
     Size(size::Arguments),
 }
 
 fn main() -> ExitCode {
     xtask::run(|| match Arguments::parse().command {
         Command::Chips(arguments) => chips::run(&arguments),
+        Command::Dist(arguments) => dist::run(&arguments),
         Command::Eds(arguments) => eds::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Flash(arguments) => flash::run(&arguments),
         Command::NewProduct(arguments) => new_product::run(&arguments),
-        Command::Release(arguments) => release::run(&arguments),
         Command::Size(arguments) => size::run(&arguments),
     })
 }

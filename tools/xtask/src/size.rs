@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use anyhow::bail;
-use emulator::chip::{FLASH_BASE, Part, RAM_BASE};
+use emulator::chip::Part;
 use testkit::{
-    elf::{Elf, Object, ObjectSymbol, Section, SymbolKind, sections},
+    elf::{self, Elf, Object, ObjectSymbol, Section, SymbolKind, sections},
     image,
 };
 
@@ -22,14 +22,6 @@ pub struct Arguments {
     /// Show an example of a product, which has no budget
     #[arg(long)]
     example: Option<Example>,
-}
-
-fn in_flash(section: &Section) -> bool {
-    section.is_loaded && section.address >= FLASH_BASE
-}
-
-fn in_ram(section: &Section) -> bool {
-    section.address >= RAM_BASE
 }
 
 /// Prints the sizes. Fails if they are above the budget.
@@ -49,20 +41,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The table of the sizes of an ELF file, and the flash that it takes in bytes.
-pub fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(String, u64)> {
+fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(String, u64)> {
     let file = Elf::parse(elf)?;
     let sections = sections(&file)?;
-    let sum = |of: fn(&Section) -> bool| -> u64 {
-        sections.iter().filter(|section| of(section)).map(|section| section.bytes).sum()
-    };
-    let (flash, ram) = (sum(in_flash), sum(in_ram));
-    let mut report = format!("{:16} {:>8} {:>8}\n", chip.name(), "flash", "RAM");
-    for section in &sections {
-        let column = |takes: bool| if takes { section.bytes.to_string() } else { String::new() };
-        let (flash, ram) = (column(in_flash(section)), column(in_ram(section)));
-        report += &format!("{:16} {flash:>8} {ram:>8}\n", section.name);
-    }
-    report += &format!("{:16} {flash:>8} {ram:>8}\n", "total");
+    let (mut report, flash) = elf::size(elf, chip)?;
     if has_budget {
         report += &format!("{:16} {:>8}\n", "budget", budget());
     }
@@ -122,7 +104,7 @@ fn parts(file: &Elf, sections: &[Section]) -> Vec<(&'static str, u64)> {
             rest -= bytes;
         }
     }
-    let of_sections = sections.iter().filter(|section| in_flash(section));
+    let of_sections = sections.iter().filter(|section| section.is_in_flash());
     let other_sections: u64 = of_sections
         .filter(|section| ![".vector_table", ".text", ".rodata", ".data"].contains(&&*section.name))
         .map(|section| section.bytes)

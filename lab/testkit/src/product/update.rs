@@ -7,6 +7,9 @@ use super::{Change, change};
 /// `cargo update-file`, with the gaps of a template.
 pub(super) const UPDATE_FILE: &str = "examples/update_file.rs";
 
+/// `cargo release-files`.
+const RELEASE_FILES: &str = "examples/release_files.rs";
+
 /// The files in the template and in the product.
 pub(super) const FILES: [(&str, &str); 2] = [
     ("template/update/loader.rs", "src/loader.rs"),
@@ -20,14 +23,15 @@ pub(super) const KEY: (&str, &str) = ("template/update/key.rs", "src/key.rs");
 pub(super) const CHANGES: &[Change<'_>] = &[
     (
         ".cargo/config.toml",
-        "eds = \"run --example eds\"\n",
-        "eds = \"run --example eds\"\nupdate-file = \"run --quiet --example update_file --\"\n",
+        "release-files = \"run --quiet --example release_files --\"\n",
+        "update-file = \"run --quiet --example update_file --\"\n",
     ),
     (
         "README.md",
-        "| `cargo eds` |",
+        "| `cargo release-files` | writes `.hex`, `.bin`, `.elf`, data sheet, size and checksums into `target/release-files`, \
+         for those who put it on boards without Rust |",
         "| `cargo update-file` | writes loader, program and update file into `target/update`; `lss update` of the firmware's \
-         repository installs it over the bus |\n| `cargo eds` |",
+         repository installs it over the bus |",
     ),
     ("memory.x", "boards/stm32f4/image.x", "boards/stm32f4/program.x"),
     ("memory.x", "INCLUDE image.x", "INCLUDE program.x"),
@@ -114,6 +118,8 @@ pub(super) fn add(
     read: impl Fn(&str) -> io::Result<String>,
 ) -> io::Result<()> {
     change(files, CHANGES)?;
+    // Its files are those of `cargo update-file`.
+    files.retain(|(path, _)| *path != RELEASE_FILES);
     for (template, path) in FILES {
         files.push((path, read(template)?));
     }

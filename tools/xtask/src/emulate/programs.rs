@@ -16,11 +16,11 @@ use emulator::{
 use testkit::{
     boards,
     log::{Decoder, LogLine},
+    release::read_hex,
     unmodelled::{self, function_at},
 };
 
 use super::memory::Memory;
-use crate::release::read_hex;
 
 /// The programs, each on a board of its own after ours.
 #[derive(Default)]

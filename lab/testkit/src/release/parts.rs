@@ -5,7 +5,9 @@ use std::{collections::BTreeMap, ops::Range};
 use anyhow::{bail, ensure};
 use emulator::{chip::FLASH_BASE, image::Image};
 use ihex::{Reader, Record};
-use testkit::{
+
+use super::File;
+use crate::{
     hex,
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
 };
@@ -18,16 +20,14 @@ const SETTINGS: Range<u32> = {
 /// The value of an erased byte.
 const ERASED: u8 = 0xFF;
 
-/// The name of the program's files.
-const NAME: &str = "lss-slave";
-
 /// A part of the program: its first address and its bytes.
 type Part = (u32, Vec<u8>);
 
 /// The HEX file and the BIN files of a program, with their names. Fails if they differ, or if one has a byte for the
 /// settings.
-pub fn files(image: &Image) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
+pub fn files(image: &Image, name: &str) -> anyhow::Result<Vec<File>> {
     let parts = parts(image)?;
+    ensure!(!parts.is_empty(), "the program is empty");
     let borrowed: Vec<_> = parts.iter().map(|(address, bytes)| (*address, &bytes[..])).collect();
     let hex = hex::file(&borrowed);
     let mut bytes = BTreeMap::new();
@@ -39,9 +39,9 @@ pub fn files(image: &Image) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
         (address..).zip(segment).all(|(address, byte)| bytes.get(&address) == Some(byte))
     };
     ensure!(image.segments().all(is_there), "HEX and ELF files differ");
-    let mut files = vec![(format!("{NAME}.hex"), hex.into_bytes())];
+    let mut files = vec![(format!("{name}.hex"), hex.into_bytes())];
     files.extend(
-        parts.into_iter().map(|(address, bytes)| (format!("{NAME}-{address:08X}.bin"), bytes)),
+        parts.into_iter().map(|(address, bytes)| (format!("{name}-{address:08X}.bin"), bytes)),
     );
     Ok(files)
 }

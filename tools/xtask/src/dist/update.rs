@@ -4,9 +4,9 @@ use std::{fs, process::Command};
 
 use anyhow::Context;
 use emulator::chip::Part;
-use testkit::{cargo::workspace, product::Product};
+use testkit::{cargo::workspace, product::Product, release};
 
-use super::{Arguments, write_with_sums};
+use super::Arguments;
 use crate::tool;
 
 /// The name of the product, which must not be that of a library.
@@ -36,8 +36,5 @@ pub fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
         let name = path.file_name().and_then(|name| name.to_str()).context("a name")?;
         files.push((name.to_owned(), fs::read(&path)?));
     }
-    let folder = arguments.folder(&format!("{}-update", chip.name()));
-    write_with_sums(&folder, files)?;
-    println!("{}", folder.display());
-    Ok(())
+    release::write(&arguments.folder(&format!("{}-update", chip.name())), files)
 }
