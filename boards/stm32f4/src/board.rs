@@ -40,8 +40,10 @@ pub struct Board {
     pub rcc: Rcc,
     /// The watchdog, for tasks of the product that it shall wait for.
     pub watchdog: Watchdog,
-    pub(crate) alarm: Alarm,
-    pub(crate) flash: SettingsFlash,
+    /// The timer's alarm, for a program without a node.
+    pub alarm: Alarm,
+    /// The flash for the settings log, for a program without a node.
+    pub flash: SettingsFlash,
 }
 
 impl Board {

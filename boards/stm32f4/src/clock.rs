@@ -42,6 +42,21 @@ impl Alarm {
             NVIC::pend(INTERRUPT);
         }
     }
+
+    /// Sleeps until `instant`, or until another interrupt has come, for a program without interrupt handlers. They are
+    /// disabled from the first call on: what comes before a sleep ends it at once.
+    pub fn sleep_until(&mut self, instant: Instant, other: Interrupt) {
+        cortex_m::interrupt::disable();
+        // SAFETY: no handler runs.
+        unsafe {
+            NVIC::unmask(INTERRUPT);
+            NVIC::unmask(other);
+        }
+        self.set(instant);
+        cortex_m::asm::wfi();
+        NVIC::unpend(INTERRUPT);
+        NVIC::unpend(other);
+    }
 }
 
 /// The present time.

@@ -43,8 +43,9 @@ pub mod watchdog;
 #[cfg(target_os = "none")]
 pub use crate::{
     board::Board,
-    clock::now,
+    clock::{Alarm, now},
     crystal::Crystal,
+    flash::SettingsFlash,
     led::{Indicators, Led},
     runner::{Runner, Storage},
     watchdog::Watchdog,

@@ -92,9 +92,9 @@ impl Watchdog {
         self.expected |= task.bit();
     }
 
-    /// Feeds the watchdog without a roll call. Also keeps RTT and the debug port on while the core sleeps, which a debugger
-    /// switches off as it leaves.
-    pub(crate) fn feed(&mut self) {
+    /// Feeds the watchdog without a roll call: in the start, and in a program that is one loop. Also keeps RTT and the
+    /// debug port on while the core sleeps, which a debugger switches off as it leaves.
+    pub fn feed(&mut self) {
         self.hardware.feed();
         self.debug.cr().modify(|_, w| w.dbg_sleep().set_bit());
     }

@@ -1,131 +1,48 @@
-//! The firmware of the commissioner: the tasks of every product, the master in the one that runs when no other does, and
-//! one for the LED.
+//! An LSS master on a board, and nothing else: its parts, and the loop that never ends.
 
 #![no_std]
 #![no_main]
 
+mod commissioner;
 mod network;
-mod pins;
+mod table;
 
+use canopen_stm32f4::{
+    Board, Crystal, Led, board,
+    can::{CanPins, Controller},
+};
 use defmt_rtt as _;
+use lss_master::Master;
 use panic_probe as _;
+use stm32f4xx_hal::{gpio::GpioExt, pac::Peripherals};
 
-#[allow(unsafe_op_in_unsafe_fn, reason = "in RTIC's code")]
-#[rtic::app(device = stm32f4xx_hal::pac)]
-mod app {
-    use canopen_stm32f4::{Board, Crystal, Indicators, Led, Storage, Watchdog, board};
-    use example_commissioner::{
-        application::{Application, Node, PATTERNS},
-        device::{self, DEVICE},
+use crate::{
+    commissioner::{Commissioner, TIMING},
+    network::{Network, Seen},
+    table::Table,
+};
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    let chip = Peripherals::take().expect("nobody else takes them");
+    let core = cortex_m::Peripherals::take().expect("nobody else takes them");
+    let peripherals = board::Peripherals {
+        clocks: chip.RCC,
+        debug: chip.DBGMCU,
+        flash: chip.FLASH,
+        power: chip.PWR,
+        timer: chip.TIM2,
+        watchdog: chip.IWDG,
     };
-    use stm32f4xx_hal::{
-        Listen,
-        gpio::{ErasedPin, Input},
-        pac::{Interrupt, TIM5},
-        time::Hertz,
-        timer::{CounterHz, Event, TimerExt},
-    };
-
-    use crate::{
-        network::Commissioner,
-        pins::{Can, Pins},
-    };
-
-    pub type Runner = canopen_stm32f4::Runner<Can, Application>;
-
-    const CRYSTAL: Crystal = Crystal::new(device::CRYSTAL_HZ, device::CRYSTAL_IS_EXTERNAL_CLOCK);
-
-    #[shared]
-    struct Shared {
-        runner: Runner,
-    }
-
-    #[local]
-    struct Local {
-        button: ErasedPin<Input>,
-        indicators: Indicators,
-        led: Led,
-        tick: CounterHz<TIM5>,
-        storage: Storage<{ Node::STORED_LEN }>,
-        watchdog: Watchdog,
-    }
-
-    #[init]
-    fn init(cx: init::Context) -> (Shared, Local) {
-        let chip = cx.device;
-        let mut board = Board::new(
-            board::Peripherals {
-                clocks: chip.RCC,
-                debug: chip.DBGMCU,
-                flash: chip.FLASH,
-                power: chip.PWR,
-                timer: chip.TIM2,
-                watchdog: chip.IWDG,
-            },
-            &cx.core,
-            CRYSTAL,
-        );
-        let Pins { can, indicators, button, led } =
-            Pins::new(chip.GPIOA, chip.GPIOB, chip.GPIOD, &mut board.rcc);
-        let mut tick = chip.TIM5.counter_hz(&mut board.rcc);
-        tick.listen(Event::Update);
-        // The period fits the timer.
-        let _ = tick.start(Hertz::from_raw(1_000));
-        let device = DEVICE.with_serial_number(board::serial_number());
-        let (runner, storage, watchdog) = board.start(device, Application::new(), chip.CAN1, can);
-        (Shared { runner }, Local { button, indicators, led, tick, storage, watchdog })
-    }
-
-    /// Commissions the network; it sleeps while it waits.
-    #[idle(local = [button], shared = [runner])]
-    fn idle(cx: idle::Context) -> ! {
-        Commissioner::new(cx.shared.runner, cx.local.button).commission()
-    }
-
-    /// Handles received frames and sends the answer. If it runs late by more than three frames (150 us at 1 Mbit/s),
-    /// frames are lost.
-    #[task(binds = CAN1_RX0, shared = [runner], priority = 3)]
-    fn received(mut cx: received::Context) {
-        cx.shared.runner.lock(Runner::handle_received);
-    }
-
-    /// Fills an empty mailbox with the next frame. If it runs late, another node's frame goes first.
-    #[task(binds = CAN1_TX, shared = [runner], priority = 3)]
-    fn transmitted(mut cx: transmitted::Context) {
-        cx.shared.runner.lock(Runner::handle_transmitted);
-    }
-
-    /// Handles error passive and bus-off; the controller recovers from bus-off by itself.
-    #[task(binds = CAN1_SCE, shared = [runner], priority = 3)]
-    fn status(mut cx: status::Context) {
-        cx.shared.runner.lock(Runner::handle_status);
-    }
-
-    /// Does what is due: ends of switch delays, heartbeats, steps of the indicators, and the roll call that feeds the
-    /// watchdog. If it runs late, the bit rate switches late.
-    #[task(binds = TIM2, local = [indicators, watchdog], shared = [runner], priority = 3)]
-    fn due(mut cx: due::Context) {
-        let Some(lit) = cx.shared.runner.lock(Runner::handle_alarm) else {
-            return;
-        };
-        cx.local.indicators.light(lit);
-        cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]);
-    }
-
-    /// Wakes `idle` each millisecond, and lights the LED.
-    #[task(binds = TIM5, local = [tick, led, count: u32 = 0], shared = [runner], priority = 2)]
-    fn tick(mut cx: tick::Context) {
-        let _ = cx.local.tick.wait();
-        *cx.local.count = cx.local.count.wrapping_add(1);
-        let state = cx.shared.runner.lock(|runner| runner.node().application().state);
-        let step = *cx.local.count / 50 % 16;
-        cx.local.led.light(PATTERNS[usize::from(state)] >> step & 1 == 1);
-    }
-
-    /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
-    /// configuration: 20 ms are allowed. The interrupt is that of an unused USART.
-    #[task(binds = USART1, local = [storage], shared = [runner], priority = 1)]
-    fn store(mut cx: store::Context) {
-        cx.local.storage.store(&mut cx.shared.runner);
-    }
+    let mut board = Board::new(peripherals, &core, Crystal::new(8_000_000, false));
+    let rcc = &mut board.rcc;
+    let (a, b, d) = (chip.GPIOA.split(rcc), chip.GPIOB.split(rcc), chip.GPIOD.split(rcc));
+    let can = Controller::new(chip.CAN1, CanPins::new(b.pb9, b.pb8, rcc), rcc);
+    let (button, led) = (a.pa0.into_pull_down_input(), Led::active_high(d.pd13));
+    // It may erase the flash, so the bus comes later.
+    let table = Table::open(board.flash);
+    let (alarm, watchdog, seen) = (board.alarm, board.watchdog, Seen::default());
+    let mut network = Network { can, alarm, watchdog, button, led, seen };
+    network.start();
+    Commissioner { network, table, master: Master::new(TIMING) }.commission()
 }

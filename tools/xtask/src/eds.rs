@@ -4,7 +4,6 @@
 use std::fs;
 
 use anyhow::{Context, ensure};
-use example_commissioner as commissioner;
 use example_io as io;
 use example_thermo as thermo;
 use firmware::{
@@ -27,16 +26,6 @@ pub struct Arguments {
 /// Writes or compares the files.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let sheet = of_firmware();
-    let commissioner = DataSheet::new(
-        Product {
-            file_name: "commissioner.eds",
-            vendor_name: commissioner::device::VENDOR_NAME,
-            description: commissioner::device::DESCRIPTION,
-            device: commissioner::device::DEVICE,
-        },
-        commissioner::application::Node::entries(&commissioner::device::DEVICE),
-        &commissioner::application::Application::new(),
-    );
     let io = DataSheet::new(
         Product {
             file_name: "io.eds",
@@ -60,7 +49,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let files = [
         ("eds/lss-slave.eds", sheet.eds()),
         ("docs/object-dictionary.md", sheet.page()),
-        ("eds/commissioner.eds", commissioner.eds()),
         ("eds/io.eds", io.eds()),
         ("eds/thermo.eds", thermo.eds()),
     ];

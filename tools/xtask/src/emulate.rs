@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn the_board_of_each_example_answers_a_master() {
-        for example in ["", "--example commissioner", "--example io", "--example thermo"] {
+        for example in ["", "--example io", "--example thermo"] {
             let mut network = prepared(&format!("{example} --node-id 5")).expect(example).network;
             let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
             for request in ["04 01", "5E"] {

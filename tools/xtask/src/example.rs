@@ -6,7 +6,7 @@ use testkit::image;
 /// An example of a product.
 #[derive(Clone, Copy, clap::ValueEnum)]
 pub enum Example {
-    /// The LSS master of a network, `examples/commissioner`
+    /// An LSS master, `examples/commissioner`
     Commissioner,
     /// Digital and analogue I/O, `examples/io`
     Io,
@@ -35,7 +35,8 @@ impl Example {
 pub fn board(example: Option<Example>) -> Settings {
     let (hz, controller) = match example {
         None => (firmware::device::CRYSTAL_HZ, 1),
-        Some(Example::Commissioner) => (example_commissioner::device::CRYSTAL_HZ, 1),
+        // That of an STM32F407 Discovery.
+        Some(Example::Commissioner) => (8_000_000, 1),
         Some(Example::Io) => (example_io::device::CRYSTAL_HZ, 1),
         Some(Example::Thermo) => (example_thermo::device::CRYSTAL_HZ, 2),
     };

@@ -1,22 +1,19 @@
 //! Networks with the release image of the commissioner, in virtual time. None of them has a node-ID twice, at any time:
 //! the rig checks that.
 
-mod power_cuts;
 mod rig;
-mod switches;
 
-use canopen_node::{BitRate, NodeId, Settings};
-use emulator::{Time, can::Adapter};
-use example_commissioner::application::State;
-use rig::{Rig, address, blank, commissioner, new_board, silent};
+use std::fmt::Debug;
+
+use emulator::Time;
+use rig::{Rig, State, address, blank, blanks, table, with_node_id};
 use testkit::{
     image::Firmware,
     image_rig::{BOOT, blank_board},
-    sdo::Client,
+    parallel,
+    random::{Random, every},
     slave_bus::{Habits, Happening},
 };
-
-const RATE: BitRate = BitRate::Kbit125;
 
 /// Three boards of product 1 in the table, with the node-IDs 1 to 3.
 fn three() -> Rig {
@@ -25,24 +22,21 @@ fn three() -> Rig {
 
 /// The same, with other boards that have no power yet.
 fn with_others<const N: usize>(others: [testkit::node_rig::NodeRig; N]) -> Rig {
-    let mut rig = Rig::new(blank(1..=3).into_iter().chain(others));
+    let mut rig = Rig::with_table(table(&[1, 2, 3]), blanks(1..=3).into_iter().chain(others));
     (3..3 + N).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOff));
-    rig.settle();
-    rig.set_table(&[1, 2, 3].map(|number| Some(address(1, number))));
-    assert_eq!(rig.restart(), State::Complete);
+    assert_eq!(rig.settle(), State::Complete);
     rig
 }
 
 #[test]
-fn twenty_blank_boards_get_a_node_id_each_while_the_button_is_held() {
-    let mut rig = Rig::new(blank(1..=20));
+fn each_press_takes_a_board_of_twenty() {
+    let mut rig = Rig::new(blanks(1..=20));
     assert_eq!(rig.settle(), State::New);
-    rig.push(true);
-    while rig.node_ids().contains(&None) {
-        rig.run_for(Time::from_ms(100));
+    for count in 1..20 {
+        assert_eq!(rig.press(), State::New);
+        assert_eq!(rig.node_ids().iter().flatten().count(), count);
     }
-    rig.push(false);
-    assert_eq!(rig.settle(), State::Complete);
+    assert_eq!(rig.press(), State::Complete);
     let nodes = rig.node_ids();
     let mut sorted = nodes.clone();
     sorted.sort_unstable();
@@ -51,44 +45,8 @@ fn twenty_blank_boards_get_a_node_id_each_while_the_button_is_held() {
 
     assert_eq!(rig.restart_all(), State::Complete);
     assert_eq!(rig.node_ids(), nodes);
-    let table = rig.table();
-    for (number, node) in (1..).zip(nodes) {
-        assert_eq!(table[usize::from(node.expect("a node-ID")) - 1], Some(address(1, number)));
-    }
-    assert_eq!(rig.number(0x2100, 2), (1 << 20) - 1);
-}
-
-/// Three boards with the release image, just commissioned.
-fn three_real() -> Rig {
-    let mut rig = Rig::new([]);
-    for number in 1..=3 {
-        rig.network.add_board(blank_board(Firmware::Default, number));
-    }
-    // They format their flash.
-    rig.run_for(BOOT);
-    assert_eq!(rig.restart(), State::New);
-    assert_eq!([(); 3].map(|()| rig.press()), [State::New, State::New, State::Complete]);
-    rig
-}
-
-#[test]
-fn boards_with_the_release_image_are_commissioned_and_switched() {
-    let mut rig = three_real();
-    assert_eq!(rig.switch(500), State::Complete);
-    for board in 0..4 {
-        rig.network.power_off(board);
-    }
-    rig.run_for(Time::from_ms(10));
-    // Each has stored the rate, and finds nobody.
-    for board in 1..4 {
-        rig.network.power_on(board);
-        rig.run_for(Time::from_ms(50));
-        assert_eq!(rig.network.board(board).chip().can(1).bit_rate(), 500_000);
-    }
-    rig.network.power_on(0);
-    rig.run_for(Time::from_ms(50));
-    assert_eq!((rig.settle(), rig.slaves.rate), (State::Complete, BitRate::Kbit500));
-    assert_eq!(rig.number(0x2100, 2), 0b111);
+    assert!(rig.places().iter().all(|(place, node)| place == node));
+    assert_eq!(rig.places().len(), 20);
 }
 
 #[test]
@@ -98,43 +56,73 @@ fn boards_of_the_table_are_asked_before_it_scans() {
     rig.restart_all();
     let requests = rig.take_requests();
     let scan = requests.iter().position(|request| *request == 0x51);
-    assert!(requests.iter().rposition(|request| *request == 0x43) < scan, "{requests:02X?}");
-    assert_eq!(requests.iter().filter(|request| **request == 0x51).count(), 3, "nobody answers");
+    let given = requests.iter().position(|request| *request == 0x11);
+    assert!(given.is_some() && given < scan, "{requests:02X?}");
+}
+
+#[test]
+fn boards_with_the_release_image_are_commissioned() {
+    let mut rig = Rig::new([]);
+    for number in 1..=3 {
+        rig.network.add_board(blank_board(Firmware::Default, number));
+    }
+    // They format their flash.
+    rig.run_for(BOOT);
+    assert_eq!(rig.restart(), State::New);
+    assert_eq!([(); 3].map(|()| rig.press()), [State::New, State::New, State::Complete]);
+    (0..4).for_each(|board| rig.network.power_off(board));
+    rig.run_for(Time::from_ms(10));
+    (0..4).for_each(|board| rig.network.power_on(board));
+    assert_eq!(rig.settle(), State::Complete);
 }
 
 #[test]
 fn nothing_is_given_and_nothing_stored_without_the_button() {
-    let mut rig = Rig::new(blank(1..=2));
+    let mut rig = Rig::new(blanks(1..=2));
     assert_eq!(rig.settle(), State::New);
     let flash = rig.network.board(0).flash();
-    for _ in 0..2 {
-        assert_eq!(rig.restart(), State::New);
-        rig.run_for(Time::from_s(20));
-    }
+    assert_eq!(rig.restart(), State::New);
+    rig.run_for(Time::from_s(30));
     assert_eq!(rig.node_ids(), [None; 2]);
     assert_eq!(rig.network.board(0).flash(), flash);
     assert!(rig.nothing_is_stored());
 }
 
 #[test]
-fn the_button_takes_one_board_while_it_is_pressed_for_a_moment() {
-    let mut rig = Rig::new(blank(1..=2));
+fn a_press_takes_one_board_also_if_it_bounces_or_comes_while_it_asks() {
+    let mut rig = Rig::new(blanks(1..=3));
     rig.settle();
     assert_eq!(rig.press(), State::New);
     assert_eq!(rig.node_ids().iter().flatten().collect::<Vec<_>>(), [&1]);
-    assert_eq!(rig.press(), State::Complete);
+    for level in [true, false, true, false, true] {
+        rig.push(level);
+        rig.run_for(Time::from_ms(3));
+    }
+    rig.run_for(Time::from_ms(60));
+    for level in [false, true, false, true, false] {
+        rig.push(level);
+        rig.run_for(Time::from_ms(3));
+    }
+    assert_eq!(rig.settle(), State::New);
     assert_eq!(rig.node_ids().iter().flatten().count(), 2);
+    rig.take_requests();
+    while rig.requests.is_empty() {
+        rig.run_for(Time::from_ms(10));
+    }
+    assert_eq!(rig.press(), State::Complete);
+    assert_eq!(rig.places().len(), 3);
 }
 
 #[test]
 fn a_lost_board_is_replaced_by_one_of_its_product_and_no_other() {
-    let mut rig = with_others([new_board(address(2, 4), RATE), new_board(address(1, 5), RATE)]);
+    let mut rig = with_others([blank(address(2, 4)), blank(address(1, 5))]);
     rig.slaves.happen(1, Happening::PowerOff);
     rig.slaves.happen(3, Happening::PowerOn);
+    rig.run_for(Time::from_s(10));
+    assert_eq!(rig.settle(), State::New);
     assert_eq!(rig.press(), State::Missing);
     assert_eq!(rig.node_ids(), [Some(1), None, Some(3), Some(4), None], "another product is new");
     rig.slaves.happen(4, Happening::PowerOn);
-    assert_eq!(rig.restart(), State::New);
     assert_eq!(rig.press(), State::Complete);
     assert_eq!(rig.node_ids(), [Some(1), None, Some(3), Some(4), Some(2)]);
     // The old one is a new one if it comes back.
@@ -145,134 +133,293 @@ fn a_lost_board_is_replaced_by_one_of_its_product_and_no_other() {
 
 #[test]
 fn a_board_that_could_replace_two_lost_ones_is_not_taken() {
-    let mut rig = with_others([new_board(address(1, 4), RATE)]);
-    let table = rig.table();
+    let mut rig = with_others([blank(address(1, 4))]);
     (0..2).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOff));
     rig.slaves.happen(3, Happening::PowerOn);
     assert_eq!(rig.press(), State::Conflict);
     assert_eq!(rig.node_ids(), [None, None, Some(3), None]);
-    assert_eq!(rig.table(), table);
+    assert_eq!(rig.table(), table(&[1, 2, 3]));
 }
 
 #[test]
-fn the_node_id_of_a_silent_node_is_not_given_to_another() {
-    let settings = Settings::new(RATE.into()).with_node_id(NodeId::new(1));
-    let mut rig = Rig::new([silent(address(2, 1), settings), new_board(address(1, 2), RATE)]);
-    rig.settle();
-    assert_eq!(rig.press(), State::Complete);
-    assert_eq!(rig.node_ids(), [Some(1), Some(2)], "1 sends no heartbeat, and answers by SDO");
+fn the_node_id_of_another_node_is_not_given() {
+    // It sends no heartbeat, and answers by SDO; the other has a heartbeat and no server.
+    let silent = || with_node_id(address(2, 1), 1);
+    let mut rig = Rig::new([silent(), blank(address(1, 2))]);
+    assert_eq!((rig.settle(), rig.press()), (State::New, State::Complete));
+    assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
 
-    // In the table, and without LSS.
-    let mut rig = Rig::with_habits([
-        (silent(address(1, 1), settings), Habits { without: &[0x43], ..Habits::default() }),
-        (new_board(address(1, 2), RATE), Habits::default()),
-    ]);
-    rig.settle();
-    rig.set_table(&[Some(address(1, 1))]);
-    let table = rig.table();
-    assert_eq!(rig.press(), State::Conflict);
-    assert_eq!((rig.node_ids(), rig.table()), (vec![Some(1), None], table));
+    let mut rig = Rig::with_table(table(&[2]), [silent(), blank(address(1, 2))]);
+    assert_eq!(rig.settle(), State::Conflict);
+    assert_eq!(rig.node_ids(), [Some(1), None]);
 }
 
 #[test]
-fn a_board_that_has_lost_its_power_has_its_node_id_again_after_seconds() {
-    let mut rig = three();
-    rig.slaves.happen(1, Happening::PowerOff);
-    rig.run_for(Time::from_s(12));
-    rig.slaves.happen(1, Happening::PowerOn);
-    rig.run_for(Time::from_s(15));
-    assert_eq!(rig.settle(), State::Complete);
-    assert_eq!(rig.node_ids(), [1, 2, 3].map(Some));
+fn a_board_without_its_node_id_has_it_again_after_seconds_in_every_state() {
+    let silent = with_node_id(address(2, 5), 4);
+    let mut rig = with_others([blank(address(1, 4)), silent]);
+    for (state, others) in [
+        (State::Complete, [false, false]),
+        (State::New, [true, false]),
+        (State::Complete, [false, true]),
+    ] {
+        for (slave, is_on) in (3..).zip(others) {
+            let happening = if is_on { Happening::PowerOn } else { Happening::PowerOff };
+            rig.slaves.happen(slave, happening);
+        }
+        rig.run_for(Time::from_s(12));
+        assert_eq!(rig.settle(), state);
+        rig.cut_power_of(1, Time::from_s(5));
+        rig.run_for(Time::from_s(20));
+        assert_eq!(rig.settle(), state);
+        assert_eq!(rig.node_ids()[..3], [1, 2, 3].map(Some));
+    }
+    // A board is missing.
+    rig.slaves.happen(0, Happening::PowerOff);
+    rig.cut_power_of(1, Time::from_s(5));
+    rig.run_for(Time::from_s(20));
+    assert_eq!((rig.settle(), &rig.node_ids()[1..3]), (State::Missing, &[2, 3].map(Some)[..]));
+}
+
+#[test]
+fn a_boot_up_makes_it_ask_within_two_seconds() {
+    let mut rig = with_others([with_node_id(address(2, 4), 40)]);
+    rig.take_requests();
+    rig.slaves.happen(3, Happening::PowerOn);
+    rig.run_for(Time::from_ms(2_000));
+    assert!(!rig.requests.is_empty());
 }
 
 #[test]
 fn a_board_with_another_node_id_gets_that_of_the_table() {
-    let other = Settings::new(RATE.into()).with_node_id(NodeId::new(40));
-    let mut rig = Rig::new([silent(address(1, 1), other)]);
-    rig.settle();
-    rig.set_table(&[None, Some(address(1, 1))]);
-    assert_eq!(rig.restart(), State::Complete);
+    let rows = table(&[1, 2]);
+    let mut rig = Rig::with_table(rows, [with_node_id(address(1, 2), 40)]);
+    assert_eq!(rig.settle(), State::Missing);
     assert_eq!(rig.node_ids(), [Some(2)]);
 }
 
 #[test]
-fn two_foreign_slaves_are_commissioned_as_far_as_they_can() {
+fn boards_that_hold_the_node_ids_of_one_another_are_parted() {
+    for others in [&[2, 1][..], &[2, 3, 1], &[3, 2, 1]] {
+        let boards =
+            (1..).zip(others).map(|(number, node)| with_node_id(address(1, number), *node));
+        let mut rig = Rig::with_table(table(&[1, 2, 3][..others.len()]), boards);
+        assert_eq!(rig.settle(), State::Complete);
+        assert_eq!(
+            rig.places(),
+            (1..=others.len() as u8).map(|node| (Some(node), Some(node))).collect::<Vec<_>>()
+        );
+        assert!(rig.nothing_is_stored());
+    }
+}
+
+#[test]
+fn two_boards_with_one_address_get_no_node_id() {
+    // In the table, and new.
+    for rows in [table(&[1, 2]), table(&[2])] {
+        let mut rig = Rig::with_table(rows, blanks([1, 1, 2]));
+        rig.settle();
+        assert_eq!(rig.press(), State::Conflict);
+        assert_eq!(rig.node_ids()[..2], [None; 2]);
+        assert!(rig.node_ids()[2].is_some());
+        assert_eq!(rig.table(), rows);
+        // One of them alone gets it.
+        rig.slaves.happen(1, Happening::PowerOff);
+        rig.press();
+        assert_eq!(rig.settle(), State::Complete);
+        // The other comes later.
+        rig.slaves.happen(1, Happening::PowerOn);
+        rig.run_for(Time::from_s(12));
+        assert_eq!(rig.settle(), State::Conflict);
+        assert!(rig.node_ids()[0].is_some() && rig.node_ids()[1].is_none());
+    }
+}
+
+#[test]
+fn a_table_with_one_address_twice_is_refused() {
+    let mut rig = Rig::with_table(table(&[1, 2, 1]), blanks(1..=3));
+    rig.settle();
+    assert_eq!(rig.press(), State::Invalid);
+    assert_eq!((rig.node_ids(), rig.table()), (vec![None; 3], table(&[1, 2, 1])));
+    assert!(rig.requests.is_empty());
+}
+
+#[test]
+fn foreign_slaves_are_commissioned_as_far_as_they_can() {
     // One looks for a frame every ten milliseconds and loses the others, one knows no Fastscan.
-    let mut rig = Rig::with_habits([
-        (new_board(address(7, 1), RATE), Habits { poll_us: 10_000, ..Habits::default() }),
-        (new_board(address(8, 2), RATE), Habits { without: &[0x51, 0x4C], ..Habits::default() }),
-    ]);
-    assert_eq!(rig.settle(), State::New);
-    assert_eq!(rig.press(), State::Complete);
+    let slaves = || {
+        [
+            (blank(address(7, 1)), Habits { poll_us: 10_000, ..Habits::default() }),
+            (blank(address(8, 2)), Habits { without: &[0x51, 0x4C], ..Habits::default() }),
+        ]
+    };
+    let mut rig = Rig::with_habits(None, slaves());
+    assert_eq!((rig.settle(), rig.press()), (State::New, State::Complete));
     assert_eq!(rig.node_ids(), [Some(1), None]);
-    // A client writes its row.
-    rig.set_table(&[Some(address(7, 1)), Some(address(8, 2))]);
-    assert_eq!(rig.restart_all(), State::Complete);
+    let mut rows = table(&[]);
+    (rows[0], rows[1]) = (Some(address(7, 1)), Some(address(8, 2)));
+    let mut rig = Rig::with_habits(rows, slaves());
+    assert_eq!(rig.settle(), State::Complete);
     assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
     assert!(rig.nothing_is_stored());
 }
 
 #[test]
 fn it_stays_away_from_the_work_of_another_master() {
-    let mut rig = three();
-    let rival = rig.network.add_adapter(Adapter::new(125_000));
+    let mut rig = with_others([blank(address(1, 4))]);
+    let rival = rig.add_rival();
+    rig.slaves.happen(3, Happening::PowerOn);
+    rig.run_for(Time::from_s(12));
+    assert_eq!(rig.settle(), State::New);
     rig.take_requests();
-    rig.network.power_off(0);
-    rig.run_for(Time::from_ms(10));
-    rig.network.power_on(0);
-    for _ in 0..10 {
-        rig.send_as_another_master(rival, "04 00");
+    for _ in 0..12 {
+        rig.send_as_rival(rival, "04 00");
         rig.run_for(Time::from_ms(1_000));
     }
-    assert_eq!(rig.state(), State::Rival);
-    assert_eq!(rig.take_requests(), [0x04; 10], "those of the rival alone");
-    rig.run_for(Time::from_s(3));
-    assert_eq!(rig.settle(), State::Complete);
-
-    // In the middle of its work: the order of the button is void.
+    assert_eq!(rig.take_requests(), [0x04; 12], "those of the rival alone");
+    assert_eq!(rig.state(), State::Waiting);
+    // A press meanwhile is void, and so is one in the middle of its work.
     rig.push(true);
-    rig.run_for(Time::from_ms(1_700));
+    rig.run_for(Time::from_ms(50));
     rig.push(false);
-    rig.send_as_another_master(rival, "04 00");
+    rig.send_as_rival(rival, "04 00");
+    assert_eq!(rig.settle(), State::New);
+    rig.push(true);
+    rig.run_for(Time::from_ms(200));
+    rig.push(false);
+    rig.send_as_rival(rival, "04 00");
     rig.run_for(Time::from_ms(100));
-    assert_eq!(rig.state(), State::Rival);
+    assert_eq!(rig.state(), State::Waiting);
+    assert_eq!(rig.settle(), State::New);
+    assert_eq!(rig.node_ids(), [Some(1), Some(2), Some(3), None]);
 }
 
 #[test]
-fn two_commissioners_with_one_table_do_not_disturb_each_other() {
-    // The second one begins so many microseconds later.
-    for (rate, later_us) in [(RATE, 300), (BitRate::Kbit1000, 0), (BitRate::Kbit1000, 100)] {
-        let boards = [1, 2].map(|number| (new_board(address(1, number), rate), Habits::default()));
-        let mut rig = Rig::at(rate, boards);
-        rig.settle();
-        rig.set_table(&[1, 2].map(|number| Some(address(1, number))));
-        let flash = rig.network.board(0).flash();
-        let mut second = commissioner(1, rate);
-        second.set_flash(0, &flash);
-        rig.network.add_board(second);
-        (0..2).for_each(|board| rig.network.power_off(board));
-        rig.run_for(Time::from_ms(10));
-        rig.network.power_on(0);
-        rig.run_for(Time::from_us(later_us));
-        rig.network.power_on(1);
-        rig.run_for(Time::from_s(30));
-        assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
-        for board in 0..2 {
-            assert_eq!(rig.pattern(board), (16, 0), "both know that all are there");
-            assert_eq!(rig.network.board(board).flash(), flash);
+fn the_led_flickers_until_it_has_asked() {
+    assert_eq!(Rig::with_table(table(&[1]), blanks(1..=1)).state(), State::Waiting);
+}
+
+#[test]
+fn alone_on_the_bus_it_waits_for_its_boards() {
+    let mut rig = three();
+    (0..3).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOff));
+    rig.run_for(Time::from_s(30));
+    assert_eq!(rig.state(), State::Missing);
+    (0..3).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOn));
+    rig.run_for(Time::from_s(12));
+    assert_eq!(rig.settle(), State::Complete);
+    assert_eq!(rig.node_ids(), [1, 2, 3].map(Some));
+}
+
+/// A workshop for an hour: boards of ours and foreign ones, power cuts of all, a button that bounces, and at times another
+/// master. In the end every board of the table is at its place.
+fn work(seed: u64) {
+    let mut random = Random::from_seed(seed);
+    let slow = Habits { poll_us: 10_000, ..Habits::default() };
+    let mut slaves: Vec<_> =
+        blanks(1..=6).into_iter().map(|board| (board, Habits::default())).collect();
+    slaves.push((blank(address(7, 7)), slow));
+    slaves.push((blank(address(8, 8)), Habits { without: &[0x51, 0x4C], ..Habits::default() }));
+    slaves.push((with_node_id(address(1, 10), 40), Habits::default()));
+    // Always there, with a node-ID that is free in the table.
+    slaves.push((with_node_id(address(9, 9), 4), Habits::default()));
+    let mut rows = table(&[1, 2, 3]);
+    // Without Fastscan one comes by the table alone.
+    (rows[4], rows[5]) = (Some(address(1, 10)), Some(address(8, 8)));
+    let mut rig = Rig::with_habits(rows, slaves);
+    let rival = rig.add_rival();
+    let end = Time::from_s(3_600);
+    while rig.network.now() < end {
+        rig.run_for(Time::from_ms(random.within(1..40_000)));
+        let span = Time::from_ms(random.within(5..20_000));
+        match random.within(0..8) {
+            0 => rig.cut_power(span),
+            1..=3 => rig.cut_power_of(random.within(0..9) as usize, span),
+            4..=6 => {
+                for _ in 0..random.within(1..8) {
+                    rig.push(true);
+                    rig.run_for(Time::from_ms(random.within(1..90)));
+                    rig.push(false);
+                    rig.run_for(Time::from_ms(random.within(1..15)));
+                }
+            }
+            _ => {
+                for _ in 0..random.within(1..20) {
+                    rig.send_as_rival(rival, "04 00");
+                    rig.run_for(Time::from_ms(random.within(1..900)));
+                }
+            }
         }
     }
+    rig.run_for(Time::from_s(60));
+    println!("seed {seed}: {:?}", rig.places());
+    assert!(rig.places().iter().all(|(place, node)| place == node), "{:?}", rig.places());
 }
 
 #[test]
-fn the_led_says_what_it_does() {
-    let mut rig = Rig::new(blank(1..=1));
-    assert_eq!(rig.pattern(0), (8, 8), "it asks");
+fn after_an_hour_in_a_workshop_every_board_of_the_table_is_at_its_place() {
+    let mut random = Random::from_environment();
+    let seeds: Vec<u64> = (0..12).step_by(every(12)).map(|_| random.u64()).collect();
+    parallel::map(&seeds, |seed| work(*seed), |_, ()| {});
+}
+
+/// One board of the table, and a new one for which the button is pressed.
+fn taking() -> Rig {
+    let mut rig = Rig::with_table(table(&[1]), blanks(1..=2));
+    assert_eq!(rig.settle(), State::New);
+    rig.frames = 0;
+    rig.push(true);
+    rig.run_for(Time::from_ms(50));
+    rig.push(false);
+    rig
+}
+
+/// The board has its node-ID, or waits for the button and nothing of it is in the table.
+fn expect_both(rig: &mut Rig, cut: impl Debug) {
+    rig.run_for(Time::from_s(15));
+    if rig.settle() == State::New {
+        assert_eq!((rig.node_ids(), rig.table()), (vec![Some(1), None], table(&[1])), "{cut:?}");
+        assert_eq!(rig.press(), State::Complete, "{cut:?}");
+    }
+    assert_eq!((rig.state(), rig.table()), (State::Complete, table(&[1, 2])), "{cut:?}");
+    assert_eq!(rig.restart_all(), State::Complete, "{cut:?}");
+    assert_eq!(rig.node_ids(), [Some(1), Some(2)], "{cut:?}");
+    assert!(rig.nothing_is_stored());
+}
+
+#[test]
+fn a_power_cut_behind_any_frame_while_a_board_is_taken_costs_nothing() {
+    let mut rig = taking();
     rig.settle();
-    assert_eq!(rig.pattern(0), (8, 2), "a new board");
-    rig.press();
-    assert_eq!(rig.pattern(0), (16, 0), "all are there");
-    rig.slaves.happen(0, Happening::PowerOff);
-    rig.restart();
-    assert_eq!(rig.pattern(0), (1, 2), "one is missing");
+    let parties = [None, Some(0), Some(1)];
+    let cuts = (1..rig.frames).flat_map(|after| {
+        let spans = [Time::from_ms(20), Time::from_s(1)];
+        spans.into_iter().flat_map(move |span| parties.map(|party| (after, party, span)))
+    });
+    let cuts: Vec<_> = cuts.step_by(every(61)).collect();
+    let cut = |cut: &_| {
+        let mut rig = taking();
+        rig.cut = Some(*cut);
+        expect_both(&mut rig, cut);
+    };
+    parallel::map(&cuts, cut, |_, ()| {});
+}
+
+#[test]
+fn a_power_cut_while_the_table_is_written_leaves_it_or_the_one_before() {
+    let mut rig = taking();
+    let start = rig.network.now();
+    while rig.table() == table(&[1]) {
+        rig.run_for(Time::from_us(100));
+    }
+    let end = (rig.network.now() - start).as_us();
+    let cuts: Vec<_> = (end - 5_000..end + 200).step_by(20 * every(20)).collect();
+    let cut = |at: &u64| {
+        let mut rig = taking();
+        rig.run_for(Time::from_us(*at));
+        rig.cut_power(Time::from_ms(20));
+        expect_both(&mut rig, at);
+        rig.table()
+    };
+    parallel::map(&cuts, cut, |_, _| {});
 }

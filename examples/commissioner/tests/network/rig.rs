@@ -1,29 +1,30 @@
 //! The release image of the commissioner on an emulated board, with the slaves of its network in the process.
 
-use std::{
-    array,
-    collections::{BTreeMap, VecDeque},
-    sync::LazyLock,
-};
+use std::{array, mem, sync::LazyLock};
 
-use canopen_node::{BitRate, Device, Frame, NodeId, Settings, lss, lss::Address};
+use canopen_node::{
+    BitRate, Device, NodeId, Settings, lss,
+    lss::Address,
+    settings::{
+        Log,
+        parameters::{Packer, Parameter},
+    },
+};
 use emulator::{
     Time,
     board::{self, Board},
     can::Adapter,
     chip::Pin,
     image::Image,
-    network::{AdapterId, Network},
+    network::{AdapterId, Network, Recording},
 };
-use example_commissioner::application::State;
 use testkit::{
     flash::BoardFlash,
     frames,
     image::{self, PART},
-    image_rig::{self, SETTINGS_OFFSET, flash_with},
+    image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
     node_rig::{NodeRig, device},
     random::Random,
-    sdo::Client,
     slave_bus::{Habits, Happening, SlaveBus},
     wire::{bit_per_s, from_the_wire, on_the_wire},
 };
@@ -32,56 +33,44 @@ static IMAGE: LazyLock<Image> = LazyLock::new(|| {
     image::build_example("commissioner", PART).unwrap_or_else(|error| panic!("{error}"))
 });
 
+pub const RATE: BitRate = BitRate::Kbit125;
 const BUTTON: Pin = Pin('A', 0);
-/// The node-ID of the commissioner.
-const OWN: u16 = 127;
+const LED: Pin = Pin('D', 13);
 /// The longest that it takes to deal with a network.
 const LONGEST: Time = Time::from_s(60);
+/// Longer than any pause between two requests of a round, and than that before a round after a boot-up.
+const PAUSE: Time = Time::from_ms(2_200);
 
-/// The length of a frame on the bus in the process.
-const FLIGHT_BITS: u64 = 123;
+/// A table of LSS addresses, that with node-ID 1 first.
+pub type Table = [Option<Address>; 32];
+/// The most bytes of the stored parameters.
+const STORED: usize = 6 + 32 * 16;
 
-/// The commissioner on the emulated bus, and a gateway to the bus in the process, at the bit rate of most slaves.
+/// What the LED says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    Complete,
+    Waiting,
+    Missing,
+    New,
+    Conflict,
+    Invalid,
+}
+
+/// The commissioner on the emulated bus, and a gateway to the bus in the process.
 pub struct Rig {
     pub network: Network,
     pub slaves: SlaveBus,
     gateway: AdapterId,
-    /// Acknowledges its frames, as other slaves do.
-    witness: AdapterId,
-    answers: VecDeque<[u8; 8]>,
-    /// The time of the last LSS request.
-    requested_at: Time,
-    /// The frames of the commissioner.
-    pub sent: Vec<Frame>,
-    /// The frames of the commissioner and of the slaves.
-    pub frames: Vec<Frame>,
-    /// The power cut to come.
-    pub cut: Option<Cut>,
+    is_open: bool,
+    /// The LSS requests on the bus, with their times.
+    pub requests: Vec<(Time, [u8; 8])>,
+    /// The number of frames on the bus.
+    pub frames: usize,
+    /// The power cut to come: the number of frames after which it begins, the slave or else the commissioner, and its span.
+    pub cut: Option<(usize, Option<usize>, Time)>,
     /// The end of a power cut of the commissioner.
     power_on_at: Option<Time>,
-}
-
-/// A power cut.
-#[derive(Clone, Copy, Debug)]
-pub struct Cut {
-    pub party: Party,
-    /// The number of frames after which it begins.
-    pub after: usize,
-    pub span: Time,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Party {
-    Commissioner,
-    Slave(usize),
-}
-
-/// A commissioner with an empty table at this rate; those with different numbers have different serial numbers.
-pub fn commissioner(number: u8, rate: BitRate) -> Board {
-    let settings = board::Settings { unique_id: [number; 12], ..Default::default() };
-    let mut board = Board::new(PART, &IMAGE, settings);
-    board.set_flash(SETTINGS_OFFSET, &flash_with(&[image_rig::settings(OWN as u8, rate)]));
-    board
 }
 
 /// The LSS address of a board with this number, of a product.
@@ -91,77 +80,76 @@ pub fn address(product_code: u32, number: u32) -> Address {
     Address { vendor_id: 0x0300, product_code, revision_number: 0x0001_0000, serial_number }
 }
 
-/// A new board without a node-ID, at this rate.
-pub fn new_board(address: Address, rate: BitRate) -> NodeRig {
-    board_of(device(address).with_defaults(Settings::new(rate.into())).with_heartbeat_ms(1_000))
+/// The LSS addresses of boards of product 1 with these numbers.
+pub fn table(numbers: &[u32]) -> Table {
+    array::from_fn(|at| numbers.get(at).map(|number| address(1, *number)))
 }
 
-/// A board with these settings that sends no heartbeat.
-pub fn silent(address: Address, settings: Settings) -> NodeRig {
+/// A new board without a node-ID.
+pub fn blank(address: Address) -> NodeRig {
+    board_of(device(address).with_defaults(Settings::new(RATE.into())).with_heartbeat_ms(1_000))
+}
+
+/// A board with a node-ID of its own that sends no heartbeat.
+pub fn with_node_id(address: Address, node_id: u8) -> NodeRig {
+    let settings = Settings::new(RATE.into()).with_node_id(NodeId::new(node_id));
     board_of(device(address).with_defaults(settings))
 }
 
 fn board_of(device: Device) -> NodeRig {
-    NodeRig::with_device(device.with_rescue(true), BoardFlash::blank(0), 0)
+    NodeRig::with_device(device, BoardFlash::blank(0), 0)
 }
 
-/// A new board that stays at its bit rate, as those of others do.
-pub fn plain_board(number: u32) -> NodeRig {
-    let settings = Settings::new(BitRate::Kbit125.into());
-    let device = device(address(1, number)).with_defaults(settings).with_heartbeat_ms(1_000);
-    NodeRig::with_device(device.with_rescue(false), BoardFlash::blank(0), 0)
+/// Blank boards of product 1.
+pub fn blanks(numbers: impl IntoIterator<Item = u32>) -> Vec<NodeRig> {
+    numbers.into_iter().map(|number| blank(address(1, number))).collect()
 }
 
-/// Blank boards of one product.
-pub fn blank(numbers: impl IntoIterator<Item = u32>) -> Vec<NodeRig> {
-    numbers.into_iter().map(|number| new_board(address(1, number), BitRate::Kbit125)).collect()
+/// The flash of a commissioner with this table.
+fn flash_with(table: &Table) -> Vec<u8> {
+    let value: Vec<u8> =
+        table.iter().flat_map(|row| row.map_or([0; 16], Address::to_le_bytes)).collect();
+    let mut packed = [0; STORED];
+    let parameter = Parameter { index: 0x2200, sub_index: 0, data_type: 0x0A, value: &value };
+    Packer::new(&mut packed).put(&parameter);
+    let (mut log, _) = Log::<_, STORED>::open_with_parameters(BoardFlash::blank(0));
+    log.store_with_parameters(Settings::new(RATE.into()), &packed).expect("it has room");
+    log.close().content()
 }
 
 impl Rig {
-    /// The commissioner with an empty table, just powered on, and these boards.
+    /// A commissioner with an empty table, just powered on, and these boards.
     pub fn new(slaves: impl IntoIterator<Item = NodeRig>) -> Self {
-        Self::with_habits(slaves.into_iter().map(|rig| (rig, Habits::default())))
+        Self::with_table(None, slaves)
     }
 
-    pub fn with_habits(slaves: impl IntoIterator<Item = (NodeRig, Habits)>) -> Self {
-        Self::at(BitRate::Kbit125, slaves)
+    /// The same with this table.
+    pub fn with_table(
+        table: impl Into<Option<Table>>,
+        slaves: impl IntoIterator<Item = NodeRig>,
+    ) -> Self {
+        let slaves = slaves.into_iter().map(|rig| (rig, Habits::default()));
+        Self::with_habits(table, slaves)
     }
 
-    /// The same at this rate.
-    pub fn at(rate: BitRate, slaves: impl IntoIterator<Item = (NodeRig, Habits)>) -> Self {
-        Self::of(commissioner(0, rate), rate, slaves)
-    }
-
-    /// The same with this commissioner.
-    pub fn of(
-        commissioner: Board,
-        rate: BitRate,
+    /// The same with boards of these habits.
+    pub fn with_habits(
+        table: impl Into<Option<Table>>,
         slaves: impl IntoIterator<Item = (NodeRig, Habits)>,
     ) -> Self {
         let mut network = Network::new();
         network.forbid_misuse();
-        network.record(emulator::network::Recording::Off);
+        network.record(Recording::Off);
+        let mut commissioner = Board::new(PART, &IMAGE, board::Settings::default());
+        if let Some(table) = table.into() {
+            commissioner.set_flash(SETTINGS_OFFSET, &flash_with(&table));
+        }
         network.add_board(commissioner);
-        let [gateway, witness] =
-            [(); 2].map(|()| network.add_adapter(Adapter::new(bit_per_s(rate))));
+        let gateway = network.add_adapter(Adapter::new(bit_per_s(RATE)));
         let mut slaves = SlaveBus::new(slaves, Random::from_seed(1));
-        slaves.open(rate, true);
-        let (answers, sent) = (VecDeque::new(), Vec::new());
-        let mut rig = Self {
-            network,
-            slaves,
-            gateway,
-            witness,
-            answers,
-            requested_at: Time::ZERO,
-            sent,
-            frames: Vec::new(),
-            cut: None,
-            power_on_at: None,
-        };
-        // It comes to the bus.
-        rig.run_for(Time::from_ms(50));
-        rig
+        slaves.open(RATE, true);
+        let (requests, frames, cut, power_on_at) = (Vec::new(), 0, None, None);
+        Self { network, slaves, gateway, is_open: true, requests, frames, cut, power_on_at }
     }
 
     /// Lets time pass.
@@ -172,30 +160,26 @@ impl Rig {
         }
     }
 
-    /// Lets time pass until the commissioner has sent an LSS request with this command specifier.
-    pub fn run_until_request(&mut self, specifier: u8) {
-        let until = self.network.now() + LONGEST;
-        let is_it = |frame: &Frame| {
-            frame.cob_id() == lss::REQUEST_COB_ID && frame.data().first() == Some(&specifier)
-        };
-        while !self.sent.last().is_some_and(is_it) {
-            assert!(self.network.now() < until, "it sends no {specifier:02X}");
-            self.step(until);
-        }
-    }
-
     /// Lets time pass until a frame or something in a slave comes.
     fn step(&mut self, until: Time) {
-        // The gateway soon follows the commissioner to another bit rate.
-        let until = until.min(self.network.now() + Time::from_ms(2));
         let until = self.power_on_at.map_or(until, |at| at.min(until));
         let next = Time::from_us(self.slaves.next_at().min(until.as_us() + 1)).min(until);
-        let span = next.saturating_sub(self.network.now());
-        if let Some((_, frame)) = self.network.run_until_received(self.witness, span) {
-            self.note(from_the_wire(&frame).expect("a frame of CANopen"));
+        // Slaves without power acknowledge nothing.
+        let is_open = self.network.boards().len() > 1
+            || self.slaves.slaves.iter().any(|slave| slave.is_powered);
+        if mem::replace(&mut self.is_open, is_open) != is_open {
+            let gateway = self.network.adapter_mut(self.gateway);
+            if is_open { gateway.open() } else { gateway.close() }
         }
-        while let Some((_, frame)) = self.network.receive(self.gateway) {
-            self.take(from_the_wire(&frame).expect("a frame of CANopen"));
+        let span = next.saturating_sub(self.network.now());
+        if let Some((_, frame)) = self.network.run_until_received(self.gateway, span) {
+            let frame = from_the_wire(&frame).expect("a frame of CANopen");
+            if frame.cob_id() == lss::REQUEST_COB_ID {
+                let request = frame.data().try_into().expect("eight bytes");
+                self.requests.push((self.network.now(), request));
+            }
+            self.slaves.send(frame);
+            self.count();
         }
         let now = self.network.now();
         if self.power_on_at.take_if(|at| *at <= now).is_some() {
@@ -203,75 +187,37 @@ impl Rig {
         }
         while let Some((_, frame)) = self.slaves.run(now.as_us()) {
             self.network.send(self.gateway, on_the_wire(&frame));
+            self.count();
         }
-        self.follow_bit_rate();
         self.check();
     }
 
-    /// Notes a frame on the bus, except for those of a client, and cuts the power behind it.
-    fn note(&mut self, frame: Frame) {
-        if [0x580 + OWN, 0x600 + OWN].contains(&frame.cob_id()) {
+    /// Counts a frame, and cuts the power behind it.
+    fn count(&mut self) {
+        self.frames += 1;
+        let frames = self.frames;
+        let Some((_, party, span)) = self.cut.take_if(|(after, ..)| *after <= frames) else {
             return;
-        }
-        self.frames.push(frame);
-        if let Some(cut) = self.cut.take_if(|cut| cut.after <= self.frames.len()) {
-            let now = self.network.now();
-            match cut.party {
-                Party::Commissioner => {
-                    self.network.power_off(0);
-                    self.power_on_at = Some(now + cut.span);
-                }
-                // It has received the frame, on the bus in the process, and not answered.
-                Party::Slave(slave) => {
-                    let at = now.as_us()
-                        + FLIGHT_BITS * 1_000 / u64::from(self.slaves.rate.kbit_per_s())
-                        + 50;
-                    self.slaves.plan(at, slave, Happening::PowerOff);
-                    self.slaves.plan(at + cut.span.as_us(), slave, Happening::PowerOn);
-                }
-            }
+        };
+        match party {
+            None => self.cut_power(span),
+            Some(slave) => self.cut_power_of(slave, span),
         }
     }
 
-    /// Passes a frame of the commissioner on.
-    fn take(&mut self, frame: Frame) {
-        if frame.cob_id() == 0x580 + OWN {
-            self.answers.push_back(frame.data().try_into().expect("eight bytes"));
-            return;
-        }
-        self.sent.push(frame);
-        if frame.cob_id() == lss::REQUEST_COB_ID {
-            self.requested_at = self.network.now();
-        }
-        self.slaves.send(frame);
-    }
-
-    /// Puts the gateway at the bit rate of the commissioner if a slave is there, and else at that of most slaves.
-    fn follow_bit_rate(&mut self) {
-        let mut rates = BTreeMap::new();
-        for slave in self.slaves.slaves.iter().filter(|slave| slave.is_powered) {
-            *rates.entry(slave.rig.bit_rate()).or_insert(0) += 1;
-        }
-        let own = self.own_rate().filter(|own| rates.is_empty() || rates.contains_key(own));
-        let most = rates.into_iter().max_by_key(|(_, count)| *count);
-        if let Some(rate) = own.or(most.map(|(rate, _)| rate))
-            && rate != self.slaves.rate
-        {
-            self.slaves.open(rate, true);
-            for adapter in [self.gateway, self.witness] {
-                self.network.adapter_mut(adapter).set_bit_rate(bit_per_s(rate));
-            }
+    /// Cuts the power of the commissioner.
+    pub fn cut_power(&mut self, span: Time) {
+        if self.power_on_at.is_none() {
+            self.network.power_off(0);
+            self.power_on_at = Some(self.network.now() + span);
         }
     }
 
-    fn own_rate(&mut self) -> Option<BitRate> {
-        let own = self.network.board(0).chip().can(1).bit_rate();
-        BitRate::ALL.into_iter().find(|rate| bit_per_s(*rate) == own)
-    }
-
-    /// The bit rate of the commissioner.
-    pub fn rate(&mut self) -> BitRate {
-        self.own_rate().expect("it takes part")
+    /// Cuts the power of a slave, behind a frame that is on its way to it.
+    pub fn cut_power_of(&mut self, slave: usize, span: Time) {
+        let at = self.slaves.now() + 1_100;
+        self.slaves.plan(at, slave, Happening::PowerOff);
+        self.slaves.plan(at + span.as_us(), slave, Happening::PowerOn);
     }
 
     /// No two nodes have one node-ID.
@@ -292,53 +238,35 @@ impl Rig {
             .collect()
     }
 
-    /// Lets time pass until the commissioner has found a state; returns it.
+    /// Lets time pass until the commissioner is between two rounds; returns what its LED says.
     pub fn settle(&mut self) -> State {
         let until = self.network.now() + LONGEST;
-        loop {
+        self.run_for(PAUSE);
+        while self.requests.last().is_some_and(|(at, _)| self.network.now() < *at + PAUSE) {
             assert!(self.network.now() < until, "it comes to no end");
-            self.run_for(Time::from_ms(100));
-            // A switch of the bit rate wants silence.
-            if self.network.now() < self.requested_at + Time::from_ms(600) {
-                continue;
-            }
-            if let Some(state) = self.ask_state()
-                && state != State::Asking
-            {
-                return state;
-            }
+            self.run_for(Time::from_ms(50));
         }
+        self.state()
     }
 
+    /// What the LED says.
     pub fn state(&mut self) -> State {
-        self.ask_state().expect("an answer")
-    }
-
-    /// The state, unless the commissioner is silent, such as while it looks for the others at another rate.
-    fn ask_state(&mut self) -> Option<State> {
-        use State::*;
-        // One that came too late.
-        self.answers.clear();
-        self.confirm([0x40, 0x00, 0x21, 1, 0, 0, 0, 0]);
-        let until = self.network.now() + Time::from_ms(200);
-        while self.answers.is_empty() && self.network.now() < until {
-            self.step(until);
-        }
-        let answer = self.answers.pop_front()?;
-        let states = [Complete, Asking, Missing, New, Conflict, NotStored, Rival, TakenBack];
-        Some(states[usize::from(answer[4])])
-    }
-
-    /// How many of the 16 steps of a commissioner's LED are lit, and how often it changes in them.
-    pub fn pattern(&mut self, board: usize) -> (usize, usize) {
         let step = |_| {
             self.run_for(Time::from_ms(50));
-            self.network.board(board).output(Pin('D', 13)).level == Some(true)
+            self.network.board(0).output(LED).level == Some(true)
         };
         let steps: Vec<bool> = (0..16).map(step).collect();
         let next = steps.iter().cycle().skip(1);
         let changes = steps.iter().zip(next).filter(|(step, next)| step != next).count();
-        (steps.iter().filter(|is_lit| **is_lit).count(), changes)
+        match (steps.iter().filter(|is_lit| **is_lit).count(), changes) {
+            (16, 0) => State::Complete,
+            (8, 8) => State::Waiting,
+            (1, 2) => State::Missing,
+            (8, 2) => State::New,
+            (2, 4) => State::Conflict,
+            (3, 6) => State::Invalid,
+            _ => panic!("the LED says nothing: {steps:?}"),
+        }
     }
 
     /// Presses the button for 50 ms, and lets the commissioner find a state.
@@ -353,56 +281,46 @@ impl Rig {
         self.network.board(0).chip().gpio_mut().set_input(BUTTON, Some(is_pressed));
     }
 
-    /// Cuts the power of the commissioner, if it has some, and restores it.
+    /// Cuts the power of the commissioner for a moment, and lets it find a state.
     pub fn restart(&mut self) -> State {
-        self.network.power_off(0);
-        self.run_for(Time::from_ms(10));
-        self.network.power_on(0);
+        self.cut_power(Time::from_ms(10));
         self.run_for(Time::from_ms(50));
         self.settle()
     }
 
-    /// Cuts the power of all, and restores it.
+    /// The same with the power of all.
     pub fn restart_all(&mut self) -> State {
-        self.network.power_off(0);
-        let slaves = 0..self.slaves.slaves.len();
-        slaves.clone().for_each(|slave| self.slaves.happen(slave, Happening::PowerOff));
-        self.run_for(Time::from_ms(10));
-        slaves.for_each(|slave| self.slaves.happen(slave, Happening::PowerOn));
+        (0..self.slaves.slaves.len()).for_each(|slave| self.cut_power_of(slave, Time::from_ms(10)));
         self.restart()
     }
 
-    /// Asks for a bit rate, and lets the commissioner switch.
-    pub fn switch(&mut self, rate: u16) -> State {
-        self.order(rate);
-        self.settle()
+    /// The table in the flash.
+    pub fn table(&self) -> Table {
+        let start = SETTINGS_OFFSET as usize;
+        let content = self.network.board(0).flash()[start..start + SETTINGS_LENGTH].to_vec();
+        let flash = BoardFlash::with_content(content, 0);
+        let (mut log, _) = Log::<_, STORED>::open_with_parameters(flash);
+        let mut table = [None; 32];
+        let restored = log.restore(|parameter| {
+            for (row, bytes) in table.iter_mut().zip(parameter.value.as_chunks().0) {
+                *row = (*bytes != [0; 16]).then(|| Address::from_le_bytes(*bytes));
+            }
+            true
+        });
+        restored.expect("it can be read");
+        table
     }
 
-    /// Asks for a bit rate.
-    pub fn order(&mut self, rate: u16) {
-        let [low, high] = rate.to_le_bytes();
-        self.confirm([0x2B, 0x01, 0x21, 0, low, high, 0, 0]);
-        self.run_for(Time::from_ms(100));
-        self.answers.clear();
-    }
-
-    /// The rows of the table.
-    pub fn table(&mut self) -> Vec<Option<Address>> {
-        let bytes = self.upload(0x2200, 0).expect("it can be read");
-        let row = |row: &[u8]| {
-            let mut parts = row.chunks(4).map(|part| u32::from_le_bytes(part.try_into().unwrap()));
-            let parts = array::from_fn(|_| parts.next().expect("four"));
-            (parts != [0; 4]).then(|| parts.into())
+    /// The node-ID of each powered board that is in the table: those in it, and those in force.
+    pub fn places(&self) -> Vec<(Option<u8>, Option<u8>)> {
+        let table = self.table();
+        let place = |address: Address| {
+            let at = table.iter().position(|row| *row == Some(address));
+            at.map(|at| at as u8 + 1)
         };
-        bytes.chunks(16).map(row).collect()
-    }
-
-    /// Writes the table, and stores it.
-    pub fn set_table(&mut self, rows: &[Option<Address>]) {
-        let parts = rows.iter().flat_map(|row| row.map_or([0; 4], <[u32; 4]>::from));
-        let bytes: Vec<u8> = parts.flat_map(u32::to_le_bytes).collect();
-        assert_eq!(self.download(0x2200, 0, &bytes), Ok(()));
-        assert_eq!(self.save(1), Ok(()));
+        let slaves = self.slaves.slaves.iter().zip(self.node_ids());
+        let places = slaves.map(|(slave, node)| (place(slave.rig.node.lss().address()), node));
+        places.filter(|(place, _)| place.is_some()).collect()
     }
 
     /// Whether no slave has stored anything.
@@ -410,33 +328,17 @@ impl Rig {
         self.slaves.slaves.iter().all(|slave| slave.rig.stored().is_none())
     }
 
-    /// The LSS requests of the commissioner since the last call, by their first byte.
+    /// The LSS requests since the last call, by their first byte.
     pub fn take_requests(&mut self) -> Vec<u8> {
-        let sent = std::mem::take(&mut self.sent);
-        sent.iter().filter(|f| f.cob_id() == lss::REQUEST_COB_ID).map(|f| f.data()[0]).collect()
+        mem::take(&mut self.requests).iter().map(|(_, request)| request[0]).collect()
     }
 
-    /// Another master sends a request.
-    pub fn send_as_another_master(&mut self, rival: AdapterId, request: &str) {
+    /// The adapter of another LSS master.
+    pub fn add_rival(&mut self) -> AdapterId {
+        self.network.add_adapter(Adapter::new(bit_per_s(RATE)))
+    }
+
+    pub fn send_as_rival(&mut self, rival: AdapterId, request: &str) {
         self.network.send(rival, on_the_wire(&frames::request(request)));
-    }
-}
-
-impl Client for Rig {
-    fn say(&mut self, messages: &[[u8; 8]], is_last: impl Fn(&[u8; 8]) -> bool) -> Vec<[u8; 8]> {
-        let mut answers = Vec::new();
-        messages.iter().for_each(|message| self.confirm(*message));
-        let until = self.network.now() + Time::from_s(1);
-        while !answers.last().is_some_and(&is_last) {
-            assert!(self.network.now() < until, "an answer");
-            self.step(until);
-            answers.extend(self.answers.drain(..));
-        }
-        answers
-    }
-
-    fn confirm(&mut self, message: [u8; 8]) {
-        let frame = Frame::new(0x600 + OWN, &message).expect("a frame");
-        self.network.send(self.gateway, on_the_wire(&frame));
     }
 }
