@@ -7,7 +7,7 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::Clock,
-    chip::Part,
+    chip::{ChipVariant, Part},
     image::Image,
 };
 use canopen_node::BitRateSetting;
@@ -32,6 +32,10 @@ fn new_board() -> ImageRig {
     };
     let settings = Settings {
         crystal: Clock { hz: device::CRYSTAL_HZ, ppm: 0 },
+        chip_variant: ChipVariant {
+            external_clock: device::CRYSTAL_IS_EXTERNAL_CLOCK,
+            ..ChipVariant::default()
+        },
         unique_id: boards::unique_id(0),
         controller: @controller@,
         // A peripheral that the emulator does not model is a line of the report, and no failure.

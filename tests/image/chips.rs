@@ -3,7 +3,11 @@
 
 use canopen_stm32f4::chip::{self, CHIPS};
 use emulator::chip::Part;
-use testkit::{boards::Variant, image::example, sessions};
+use testkit::{
+    boards::{Variant, nastiest},
+    image::example,
+    sessions,
+};
 
 use crate::rig::*;
 
@@ -31,6 +35,16 @@ fn the_example_passes_the_sessions_that_every_chip_must_pass() {
     let settings = board::Settings::default();
     let variant = Variant { image: example(), part: PART, settings };
     for (name, session) in sessions::all(false) {
+        println!("{name}");
+        session(&variant);
+    }
+}
+
+/// `cargo verify chip-variants` has each of them alone, and the long sessions.
+#[test]
+fn the_image_passes_its_sessions_with_the_surroundings_at_their_nastiest() {
+    let variant = Variant { image: image(), part: PART, settings: nastiest() };
+    for (name, session) in sessions::all(true) {
         println!("{name}");
         session(&variant);
     }

@@ -7,7 +7,7 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::Clock,
-    chip::Pin,
+    chip::{ChipVariant, Pin},
     image::Image,
 };
 use example_thermo::device;
@@ -27,6 +27,10 @@ const SWITCHES: [u8; 7] = [4, 5, 6, 7, 8, 9, 10];
 fn board_with_switches(closed: u8) -> Board {
     let settings = Settings {
         crystal: Clock { hz: device::CRYSTAL_HZ, ppm: 0 },
+        chip_variant: ChipVariant {
+            external_clock: device::CRYSTAL_IS_EXTERNAL_CLOCK,
+            ..ChipVariant::default()
+        },
         controller: 2,
         ..Settings::default()
     };

@@ -33,6 +33,9 @@ pub struct Settings {
     pub chip_variant: ChipVariant,
     /// The CAN controller whose transceiver is on the network's first bus: 1 for CAN1.
     pub controller: usize,
+    /// The transceivers end a dominant level after this time (0.3 to 1.2 ms are sold), so that the least bit rate is 11
+    /// bits in it. `None`: they have no such time-out.
+    pub dominant_time_out: Option<Time>,
     /// The behaviour of the CAN controllers where the manual is ambiguous.
     pub can_variant: bxcan::CanVariant,
     /// Whether an access to a peripheral that is not modelled is no [misuse](Board::misuse). Registers of CAN, RCC,
@@ -50,6 +53,7 @@ impl Default for Settings {
             unique_id: [0; 12],
             chip_variant: ChipVariant::default(),
             controller: 1,
+            dominant_time_out: None,
             can_variant: bxcan::CanVariant::default(),
             tolerates_unmodelled: false,
         }
@@ -96,6 +100,7 @@ impl Board {
         chip.set_supply(supply_mv);
         for can in chip.cans_mut() {
             can.set_variant(can_variant);
+            can.controller().set_dominant_time_out(settings.dominant_time_out);
         }
         assert!((1..=part.cans()).contains(&controller), "{} has no CAN{controller}", part.name());
         for (address, bytes) in image.segments() {
@@ -251,7 +256,9 @@ impl Board {
             return;
         }
         self.power_ups += 1;
-        self.engine.scramble_ram(self.power_ups);
+        if self.power_ups == 1 || !self.chip().variant().ram_remembers {
+            self.engine.scramble_ram(self.power_ups);
+        }
         let is_supplied = !self.chip().supply_is_too_low(true);
         (self.powered, self.browned_out) = (is_supplied, !is_supplied);
         if is_supplied {

@@ -16,7 +16,7 @@ mod wire;
 pub use adapter::Adapter;
 pub use bus::{Bus, Station};
 pub use bxcan::Bxcan;
-pub use controller::{Controller, ErrorKind, Event, Pins};
+pub use controller::{Controller, ErrorKind, Event, Pins, Transmit};
 pub use fdcan::Fdcan;
 pub use frame::{Frame, Id};
 pub use peripheral::{Can, Note, Peripheral};

@@ -87,6 +87,8 @@ pub struct Chip {
     cans: Vec<Can>,
     /// Their pins as they know them.
     cans_joined: Vec<Pins>,
+    /// Their transmit pins that are connected to a transceiver.
+    transmit_pins: Vec<Option<Pin>>,
     variant: ChipVariant,
     findings: Vec<Finding>,
     kept: Kept,
@@ -145,7 +147,8 @@ impl Chip {
             factory: Factory::new(part, unique_id),
             adc: Adc::new(part),
             cans,
-            cans_joined: vec![Pins { transmit: true, receive: true }; part.cans()],
+            cans_joined: vec![Pins::CONNECTED; part.cans()],
+            transmit_pins: vec![None; part.cans()],
             variant,
             findings: Vec::new(),
             kept: Kept::default(),
@@ -508,10 +511,10 @@ impl Chip {
     }
 
     fn write_rcc(&mut self, offset: u32, value: u32, now: Time) -> Result<(), Problem> {
-        let before = self.clocks();
+        let (before, before_rtc) = (self.clocks(), self.rcc.hse_rtc());
         let written = self.rcc.write(offset, value, now);
         self.carry_out_resets(now);
-        if self.clocks() != before {
+        if self.clocks() != before || self.rcc.hse_rtc() != before_rtc {
             self.follow_clocks(now);
         }
         written.and_then(|()| self.check_latency()).and_then(|()| self.check_voltage())
@@ -548,6 +551,7 @@ impl Chip {
                 Apb::Two => clocks.timclk2,
             };
             timer.set_clock(clock, now);
+            timer.set_hse_rtc(self.rcc.hse_rtc(), now);
         }
         for spi in &mut self.spis {
             let clock = match spi.place().0 {

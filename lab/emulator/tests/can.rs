@@ -267,3 +267,19 @@ fn crystals_that_are_three_percent_apart_do_not() {
     wire.run(Time::from_us(150));
     assert!(!wire.errors(1).is_empty());
 }
+
+/// The longest dominant level of a frame without errors has five bits.
+#[test]
+fn a_dominant_time_out_lets_only_bits_pass_that_are_short_enough() {
+    for (us, kilobits, passes) in
+        [(450, 10, false), (1_200, 10, true), (240, 20, false), (300, 20, true), (300, 50, true)]
+    {
+        let mut wire = Wire::new([at(kilobits); 2]);
+        wire.adapters[0].controller().set_dominant_time_out(Some(Time::from_us(us)));
+        wire.run(Time::from_ms(2));
+        wire.send(0, standard(0, &[]));
+        wire.run(Time::from_ms(12));
+        assert_eq!(!wire.received(1).is_empty(), passes, "{us} us, {kilobits} kbit/s");
+        assert_eq!(wire.errors(0).is_empty(), passes, "{us} us, {kilobits} kbit/s");
+    }
+}

@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use canopen_node::{Settings, lss::Address, settings::Log};
+use canopen_node::{BitRate, Settings, lss::Address, settings::Log};
 use emulator::{
     Time,
     board::{self, Board},
-    chip::Part,
+    chip::{ChipVariant, Part, Thresholds, Timing},
     image::Image,
 };
 
@@ -56,6 +56,27 @@ fn log(flash: &[u8]) -> Log<BoardFlash, 8> {
     Log::open_with_parameters(BoardFlash::with_content(flash[SETTINGS].to_vec(), 0)).0
 }
 
+/// What surrounds a chip at its nastiest, as far as the sessions can pass: crystal, supply, transceiver, memory and lines.
+pub fn nastiest() -> board::Settings {
+    let chip_variant = ChipVariant {
+        external_clock: true,
+        hsi_ppm: -80_000,
+        ram_remembers: true,
+        late_lines: 400,
+        flash_waits: true,
+        cut_words_flip: true,
+        thresholds: Thresholds::Highest,
+        flash_timing: Timing::Worst,
+        ..ChipVariant::default()
+    };
+    board::Settings {
+        supply_mv: 2_400,
+        dominant_time_out: Some(Time::from_us(300)),
+        chip_variant,
+        ..board::Settings::default()
+    }
+}
+
 /// A board to be emulated: its chip and crystal, and the variant of its behaviour.
 #[derive(Clone, Copy)]
 pub struct Variant<'a> {
@@ -65,6 +86,12 @@ pub struct Variant<'a> {
 }
 
 impl Variant<'_> {
+    /// Whether 11 bits of this rate are within the dominant time-out of the transceiver.
+    pub fn carries(&self, rate: BitRate) -> bool {
+        let bits = Time::from_us(11_000 / u64::from(rate.kbit_per_s()));
+        self.settings.dominant_time_out.is_none_or(|time_out| bits <= time_out)
+    }
+
     /// The board with this number, with the given settings stored or none.
     pub fn board(&self, number: usize, stored: Option<Stored>) -> Board {
         let settings = board::Settings { unique_id: unique_id(number), ..self.settings };

@@ -36,8 +36,9 @@ pub const PLACE: usize = 40;
 pub const CORE_MHZ: u64 = 160;
 /// The wait for an answer after its request, in addition to the frame's own time.
 const PATIENCE: Time = Time::from_ms(5);
-/// The time in which a board joins the bus after power-on, even if its flash is slow and must be erased first.
-pub const BOOT: Time = Time::from_ms(1_200);
+/// The time in which a board joins the bus after power-on, even if its flash is slow and two sectors must be erased by bytes
+/// first, and the crystal is in the other mode.
+pub const BOOT: Time = Time::from_ms(1_900);
 /// The interval between questions to a node that may be away.
 const POLL: Time = Time::from_ms(20);
 /// More bits than any frame, intermission included.

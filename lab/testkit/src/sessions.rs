@@ -111,7 +111,7 @@ fn switch(variant: &Variant, rates: &[BitRate], delay_ms: u8) {
         rig.expect(&format!("70{id}: 7F"), AWAY);
     }
     rig.send("04 01");
-    for &rate in rates {
+    for &rate in rates.iter().filter(|rate| variant.carries(**rate)) {
         rig.ask(&format!("13 00 {:02X}", rate.index()), "13 00");
         rig.send(&format!("15 {delay_ms:02X} 00"));
         rig.network.run_for(Time::from_ms(15 + u64::from(delay_ms)));

@@ -1,6 +1,11 @@
 //! The examples of products, which the commands can run in place of the plain firmware.
 
-use emulator::{board::Settings, can::Clock, chip::Part, image::Image};
+use emulator::{
+    board::Settings,
+    can::Clock,
+    chip::{ChipVariant, Part},
+    image::Image,
+};
 use testkit::image;
 
 /// An example of a product.
@@ -33,14 +38,20 @@ impl Example {
 /// The board of an example, or of the plain firmware: its crystal, and the CAN controller on the bus as in the product's
 /// `pins.rs`.
 pub fn board(example: Option<Example>) -> Settings {
-    let (hz, controller) = match example {
-        None => (firmware::device::CRYSTAL_HZ, 1),
+    macro_rules! clock {
+        ($product:ident) => {
+            ($product::device::CRYSTAL_HZ, $product::device::CRYSTAL_IS_EXTERNAL_CLOCK)
+        };
+    }
+    let ((hz, external_clock), controller) = match example {
+        None => (clock!(firmware), 1),
         // That of an STM32F407 Discovery.
-        Some(Example::Commissioner) => (8_000_000, 1),
-        Some(Example::Io) => (example_io::device::CRYSTAL_HZ, 1),
-        Some(Example::Thermo) => (example_thermo::device::CRYSTAL_HZ, 2),
+        Some(Example::Commissioner) => ((8_000_000, false), 1),
+        Some(Example::Io) => (clock!(example_io), 1),
+        Some(Example::Thermo) => (clock!(example_thermo), 2),
     };
-    Settings { crystal: Clock { hz, ppm: 0 }, controller, ..Settings::default() }
+    let chip_variant = ChipVariant { external_clock, ..ChipVariant::default() };
+    Settings { crystal: Clock { hz, ppm: 0 }, controller, chip_variant, ..Settings::default() }
 }
 
 /// Builds the plain firmware or an example.

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::Time;
 use line::Line;
-pub use line::Pins;
+pub use line::{Pins, Transmit};
 use protocol::Phase;
 
 /// An error that a controller detects (ISO 11898-1, error detection).
@@ -222,6 +222,7 @@ impl Controller {
         self.stopping = false;
         self.driven = Level::Recessive;
         self.next = Level::Recessive;
+        self.follow_line(self.now);
     }
 
     /// Stops at once, whatever is under way, and clears counters, offer and unread events: a hardware reset.
@@ -230,6 +231,7 @@ impl Controller {
         line.reset();
         let recovery = self.recovery;
         *self = Self { now, wire, line, recovery, ..Self::new(self.clock, self.bit_timing) };
+        self.follow_line(now);
     }
 
     /// Whether a stopped controller reports [`Event::Activity`]; a start ends it.

@@ -3,7 +3,7 @@
 use super::{Chip, Problem, registers::Registers};
 use crate::{
     Time,
-    can::{Can, Pins},
+    can::{Can, Pins, Transmit},
 };
 
 impl Registers for Can {
@@ -21,22 +21,34 @@ impl Registers for Can {
 }
 
 impl Chip {
-    /// The pins that are connected to a controller now, CAN1 as 0.
-    fn can_pins(&self, can: usize) -> Pins {
+    /// The pins that are connected to a controller now, CAN1 as 0. Its transceiver is at the transmit pin that the
+    /// controller had last.
+    fn can_pins(&mut self, can: usize) -> Pins {
         let connected = |line: usize| {
             let mut pins = self.part.can_pins(can).iter().map(|pins| pins[line]);
-            pins.any(|(pin, function)| self.gpio.alternate_function(pin) == Some(function))
+            pins.find(|(pin, function)| self.gpio.alternate_function(*pin) == Some(*function))
         };
-        Pins { receive: connected(0), transmit: connected(1) }
+        let receive = connected(0).is_some();
+        if let Some((pin, _)) = connected(1) {
+            self.transmit_pins[can] = Some(pin);
+            return Pins { receive, transmit: Transmit::Controller };
+        }
+        let is_low = |pin| self.gpio.output(pin).level == Some(false);
+        let transmit = match self.transmit_pins[can] {
+            Some(pin) if is_low(pin) => Transmit::Dominant,
+            _ => Transmit::Recessive,
+        };
+        Pins { receive, transmit }
     }
 
     /// Whether a controller has the pins that it needs; a silent one needs no transmit pin.
-    pub(super) fn can_has_its_pins(&self, can: usize) -> bool {
+    pub(super) fn can_has_its_pins(&mut self, can: usize) -> bool {
         let Pins { transmit, receive } = self.can_pins(can);
-        receive && (transmit || self.cans[can].is_silent())
+        receive && (transmit == Transmit::Controller || self.cans[can].is_silent())
     }
 
-    /// Connects the controllers to the pins that GPIO selects. A pin in any other mode leaves the bus recessive.
+    /// Connects the controllers to the pins that GPIO selects. A pin in any other mode leaves the
+    /// bus recessive, but for a low output.
     pub(super) fn connect_cans(&mut self, now: Time) {
         self.note_receive_pin();
         for can in 0..self.cans.len() {

@@ -17,6 +17,7 @@ const CSR: u32 = 0x74;
 
 const HSION: u32 = 1 << 0;
 const HSEON: u32 = 1 << 16;
+const HSEBYP: u32 = 1 << 18;
 const CSSON: u32 = 1 << 19;
 const PLLON: u32 = 1 << 24;
 const PLLI2SON: u32 = 1 << 26;
@@ -29,8 +30,12 @@ const BDRST: u32 = 1 << 16;
 /// BDRST, RTCEN, RTCSEL, LSEBYP and LSEON.
 const BDCR_WRITABLE: u32 = 0x0001_8305;
 const CSSF: u32 = 1 << 7;
+/// The time that HSI takes to start (F405 data sheet, table 34).
+const HSI_START: Time = Time::from_us(4);
+/// The time until SWS follows SW, and a ready flag the end of its oscillator: some cycles of both clocks.
+const SWITCH: Time = Time::from_ns(500);
 
-/// The internal oscillator, assumed to be exact.
+/// The internal oscillator, if it is exact.
 pub(super) const HSI: Clock = Clock { hz: 16_000_000, ppm: 0 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -154,6 +159,11 @@ pub trait Rcc: fmt::Debug + Send {
         unimplemented!("only the boot loader of an STM32F4 is modelled")
     }
 
+    /// The clock HSE_RTC as the crystal and its divider, if there is one.
+    fn hse_rtc(&self) -> Option<(Clock, u32)> {
+        None
+    }
+
     /// The level of the non-maskable interrupt: the clock security system has detected a failure of the crystal.
     fn nmi(&self) -> bool {
         false
@@ -168,11 +178,16 @@ pub struct RccF4 {
     /// The crystal oscillates when switched on.
     crystal_works: bool,
     hse_start: Time,
+    is_external: bool,
+    hsi: Clock,
     start_up: StartUp,
     regs: [u32; 38],
+    hsi_ready: Time,
     hse_ready: Time,
     pll_ready: [Time; 3],
     lsi_ready: Time,
+    /// CR and CFGR as they were before the latest write, and until when the flags show that.
+    before: (u32, u32, Time),
 }
 
 impl RccF4 {
@@ -186,8 +201,12 @@ impl RccF4 {
             crystal,
             crystal_works: crystal.hz > 0,
             hse_start: variant.hse_start,
+            is_external: variant.external_clock,
+            hsi: Clock { ppm: variant.hsi_ppm, ..HSI },
             start_up: variant.start_up,
             regs: [0; 38],
+            before: (0, 0, Time::ZERO),
+            hsi_ready: Time::ZERO,
             hse_ready: Time::MAX,
             pll_ready: [Time::MAX; 3],
             lsi_ready: Time::MAX,
@@ -202,10 +221,17 @@ impl RccF4 {
             return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
         }
         let starts = |bit: u32| value & bit != 0 && old & bit == 0;
+        // HSEBYP changes only while HSE is off (RM0090 7.3.1).
+        self.note_before(now);
+        let is_on = self.before.0 & (HSEON | HSEON << 1) != 0;
+        let value = if is_on { value & !HSEBYP | old & HSEBYP } else { value };
+        self.regs[CR as usize / 4] = value;
         if starts(HSEON) {
             self.start_hse(now);
         }
-        self.regs[CR as usize / 4] = value;
+        if starts(HSION) {
+            self.hsi_ready = now + HSI_START;
+        }
         if value & HSEON == 0 {
             self.hse_ready = Time::MAX;
         }
@@ -221,7 +247,14 @@ impl RccF4 {
 
     fn start_hse(&mut self, now: Time) {
         let ready = now.as_ps().saturating_add(self.hse_start.as_ps());
-        self.hse_ready = if self.crystal_works { Time::from_ps(ready) } else { Time::MAX };
+        let works = self.crystal_works && (self.reg(CR) & HSEBYP != 0) == self.is_external;
+        self.hse_ready = if works { Time::from_ps(ready) } else { Time::MAX };
+    }
+
+    /// Keeps what the flags show until the clocks have followed a write.
+    fn note_before(&mut self, now: Time) {
+        let shown = |offset| self.read(offset, now).unwrap_or(0);
+        self.before = (shown(CR), shown(CFGR), now + SWITCH);
     }
 
     fn sysclk_needs_hse(&self) -> bool {
@@ -246,7 +279,7 @@ impl RccF4 {
     }
 
     fn pll_source(&self) -> Clock {
-        if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { HSI }
+        if self.reg(PLLCFGR) >> 22 & 1 == 1 { self.crystal } else { self.hsi }
     }
 
     /// The nominal frequencies of the PLL's input and its VCO.
@@ -304,9 +337,11 @@ impl Rcc for RccF4 {
         ] {
             self.regs[offset as usize / 4] = value;
         }
+        self.hsi_ready = Time::ZERO;
         self.hse_ready = Time::MAX;
         self.pll_ready = [Time::MAX; 3];
         self.lsi_ready = Time::MAX;
+        self.before.2 = Time::ZERO;
     }
 
     fn reg(&self, offset: u32) -> u32 {
@@ -322,17 +357,19 @@ impl Rcc for RccF4 {
             CR => {
                 let [pll, i2s, sai] = self.pll_ready;
                 let oscillators = [
-                    (HSION, Time::ZERO),
+                    (HSION, self.hsi_ready),
                     (HSEON, self.hse_ready),
                     (PLLON, pll),
                     (PLLI2SON, i2s),
                     (PLLSAION, sai),
                 ];
+                let was = if now < self.before.2 { self.before.0 } else { 0 };
                 oscillators.into_iter().fold(value, |cr, (on, ready)| {
-                    let is_ready = value & on != 0 && now >= ready;
+                    let is_ready = if value & on != 0 { now >= ready } else { was & on << 1 != 0 };
                     cr & !(on << 1) | if is_ready { on << 1 } else { 0 }
                 })
             }
+            CFGR if now < self.before.2 => value & !0xC | self.before.1 & 0xC,
             CFGR => value & !0xC | (value & 3) << 2,
             CSR if value & LSION != 0 && now >= self.lsi_ready => value | LSION << 1,
             _ => value,
@@ -352,7 +389,7 @@ impl Rcc for RccF4 {
             }
             CFGR => {
                 let ready = match value & 3 {
-                    0 => true,
+                    0 => now >= self.hsi_ready,
                     1 => now >= self.hse_ready,
                     2 => now >= self.pll_ready[0],
                     _ => false,
@@ -361,6 +398,7 @@ impl Rcc for RccF4 {
                     return Err(Problem::Misuse("SYSCLK switched to a source that is not ready"));
                 }
                 value &= !0xC;
+                self.note_before(now);
             }
             // The upper bits, which read as 0, clear flags.
             CIR => value = value & 0x7F00 | old & 0xFF & !(value >> 16),
@@ -396,7 +434,7 @@ impl Rcc for RccF4 {
     fn clocks(&self) -> Clocks {
         let cfgr = self.reg(CFGR);
         let sysclk = match cfgr & 3 {
-            0 => HSI,
+            0 => self.hsi,
             1 => self.crystal,
             _ => {
                 let divider = 2 * (u64::from(self.reg(PLLCFGR) >> 16 & 3) + 1);
@@ -410,6 +448,7 @@ impl Rcc for RccF4 {
         self.crystal_works = false;
         let was_ready = now >= self.hse_ready;
         self.hse_ready = Time::MAX;
+        self.before.2 = Time::ZERO;
         let cr = self.reg(CR);
         if !was_ready || cr & CSSON == 0 {
             return;
@@ -448,7 +487,7 @@ impl Rcc for RccF4 {
         let input_divider = self.crystal.hz / 1_000_000;
         for (offset, value) in [
             (PLLCFGR, 5 << 24 | 1 << 22 | 1 << 16 | 240 << 6 | input_divider),
-            (CR, 0x83 | HSEON | CSSON | PLLON),
+            (CR, 0x83 | HSEON | CSSON | PLLON | if self.is_external { HSEBYP } else { 0 }),
             (CFGR, 4 << 10 | 2),
             (AHB1ENR, self.reg(AHB1ENR) | 1),
             (AHB2ENR, 1 << 7),
@@ -458,6 +497,12 @@ impl Rcc for RccF4 {
         }
         self.hse_ready = now;
         self.pll_ready[0] = now;
+    }
+
+    fn hse_rtc(&self) -> Option<(Clock, u32)> {
+        let divider = self.reg(CFGR) >> 16 & 0x1F;
+        let runs = self.hse_ready != Time::MAX && divider > 1;
+        runs.then_some((self.crystal, divider))
     }
 
     fn nmi(&self) -> bool {

@@ -26,6 +26,7 @@ const RCR: u32 = 0x30;
 const CCR1: u32 = 0x34;
 const CCR4: u32 = 0x40;
 const BDTR: u32 = 0x44;
+const OR: u32 = 0x50;
 
 const CEN: u32 = 1 << 0;
 const URS: u32 = 1 << 2;
@@ -36,8 +37,16 @@ const OUTPUT_MODES: u32 = 0x7878;
 const ENABLES: u32 = 0x3333;
 /// AOE counts as MOE, which it sets at the next update.
 const MOE_AOE: u32 = 1 << 15 | 1 << 14;
-/// The bits of SR, EGR and DIER: the update, followed by the channels.
+/// The bits of SR, EGR and DIER: the update, followed by the channels; of SR also an overcapture of channel 1.
 const UPDATE: u32 = 1 << 0;
+const CC1: u32 = 1 << 1;
+const CC1OF: u32 = 1 << 9;
+/// TIM11_OR: HSE_RTC is the input of channel 1.
+const HSE_RTC: u32 = 0b10;
+/// CCMR1: channel 1 captures TI1; the power of two of the edges for a capture.
+const CC1S: u32 = 0b11;
+const CAPTURES_TI1: u32 = 0b01;
+const IC1PSC: u32 = 0b11 << 2;
 
 /// The properties in which the timers differ.
 #[derive(Debug)]
@@ -71,8 +80,8 @@ pub static KINDS: [Kind; 14] = [
     kind((Apb::One, 8), 1, (45, 45)),
 ];
 
-/// A timer: it counts up, and has no captures, no complementary outputs, no break and no DMA. A compare value takes effect
-/// at once, also if it is preloaded.
+/// A timer: it counts up, and has no complementary outputs, no break and no DMA. A compare value takes effect at once, also
+/// if it is preloaded. Only TIM11 captures, the rising edges of HSE_RTC, without an interrupt.
 #[derive(Debug)]
 pub struct Timer {
     kind: &'static Kind,
@@ -92,6 +101,12 @@ pub struct Timer {
     enables: u32,
     bdtr: u32,
     compare: [u32; 4],
+    /// TIM11_OR, and HSE_RTC as the crystal and its divider.
+    option: u32,
+    hse_rtc: Option<(Clock, u32)>,
+    /// The begin of the captures, and their number since then.
+    captures_from: Time,
+    captures: u64,
     /// The counter at `since`, the beginning of a count.
     origin: u32,
     since: Time,
@@ -120,6 +135,10 @@ impl Timer {
             enables: 0,
             bdtr: 0,
             compare: [0; 4],
+            option: 0,
+            hse_rtc: None,
+            captures_from: Time::ZERO,
+            captures: 0,
             origin: 0,
             since: Time::ZERO,
             seen: 0,
@@ -150,6 +169,40 @@ impl Timer {
         }
     }
 
+    /// Sets the clock HSE_RTC, the crystal and its divider.
+    pub fn set_hse_rtc(&mut self, hse_rtc: Option<(Clock, u32)>, now: Time) {
+        if self.hse_rtc != hse_rtc {
+            self.capture(now);
+            self.hse_rtc = hse_rtc;
+            (self.captures_from, self.captures) = (now, 0);
+        }
+    }
+
+    fn has_capture(&self) -> bool {
+        self.kind.place == KINDS[10].place
+    }
+
+    /// The time between two captures; `None` without an input.
+    fn capture_period(&self) -> Option<Time> {
+        let captures = self.option == HSE_RTC && self.modes[0] & CC1S == CAPTURES_TI1;
+        let (crystal, divider) = self.hse_rtc.filter(|_| captures && self.enables & 1 == 1)?;
+        let periods = u128::from(divider << ((self.modes[0] & IC1PSC) >> 2)) * SCALE;
+        Some(Time::from_ps((periods / crystal.rate()) as u64))
+    }
+
+    /// Takes the captures until `now`.
+    fn capture(&mut self, now: Time) {
+        let Some(period) = self.capture_period() else { return };
+        let captures = (now - self.captures_from).as_ps() / period.as_ps();
+        if captures > self.captures && self.counts() {
+            let is_lost = self.sr & CC1 != 0 || captures > self.captures + 1;
+            self.sr |= if is_lost { CC1 | CC1OF } else { CC1 };
+            let last = self.captures_from + period * captures;
+            self.compare[0] = self.count_after(self.counts_until(last));
+        }
+        self.captures = captures;
+    }
+
     /// The time of the next interrupt.
     pub fn deadline(&self) -> Time {
         self.deadline
@@ -176,6 +229,7 @@ impl Timer {
 
     /// Updates SR with the events until `now`.
     pub fn advance(&mut self, now: Time) {
+        self.capture(now);
         loop {
             let counts = self.counts_until(now);
             let passed = counts.saturating_sub(self.seen);
@@ -244,6 +298,7 @@ impl Timer {
             CCMR2 => channels > 2,
             CCR1..=CCR4 => (offset - CCR1) / 4 < channels,
             RCR | BDTR => self.kind.irqs.0 != self.kind.irqs.1,
+            OR => self.has_capture(),
             _ => false,
         }
     }
@@ -288,8 +343,12 @@ impl Timer {
 
     /// The flags of SR, and the counter value that sets each.
     fn events(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+        let captures = usize::from(self.has_capture() && self.modes[0] & CC1S != 0);
         let channels = self.compare.into_iter().take(self.kind.channels.into()).enumerate();
-        channels.map(|(channel, value)| (UPDATE << (1 + channel), value)).chain([(UPDATE, 0)])
+        channels
+            .skip(captures)
+            .map(|(channel, value)| (UPDATE << (1 + channel), value))
+            .chain([(UPDATE, 0)])
     }
 
     /// The number of counts from those in SR until the counter reaches `value`, at least one.
@@ -346,7 +405,13 @@ impl Registers for Timer {
             CCMR2 => self.modes[1],
             CCER => self.enables,
             BDTR => self.bdtr,
-            CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4],
+            CCR1..=CCR4 => {
+                if offset == CCR1 && self.modes[0] & CC1S != 0 {
+                    self.sr &= !CC1;
+                }
+                self.compare[(offset - CCR1) as usize / 4]
+            }
+            OR => self.option,
             _ => 0,
         })
     }
@@ -368,8 +433,10 @@ impl Registers for Timer {
         let writable = match offset {
             CR1 => CEN | URS | OPM | ARPE,
             DIER | EGR => self.event_bits(),
+            CCMR1 if self.has_capture() && value & CC1S == CAPTURES_TI1 => CC1S | IC1PSC,
             CCMR1 | CCMR2 => OUTPUT_MODES,
             CCER => ENABLES,
+            OR => HSE_RTC,
             BDTR => MOE_AOE,
             PSC | SR | CNT | ARR | CCR1..=CCR4 => u32::MAX,
             _ => 0,
@@ -389,7 +456,11 @@ impl Registers for Timer {
             CCER => self.enables = value & writable,
             BDTR => self.bdtr = value & writable,
             CCR1..=CCR4 => self.compare[(offset - CCR1) as usize / 4] = value,
+            OR => self.option = value & writable,
             _ => {}
+        }
+        if matches!(offset, CCMR1 | CCER | OR) {
+            (self.captures_from, self.captures) = (now, 0);
         }
         self.plan();
         if value & !writable != 0 {

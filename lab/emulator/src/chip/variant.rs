@@ -23,10 +23,19 @@ pub struct ChipVariant {
     pub lsi_hz: u32,
     /// From HSEON to HSERDY: 0.1 to 10 ms for a working crystal; [`Time::MAX`] for one that never starts.
     pub hse_start: Time,
+    /// HSE is an external clock, which starts only with HSEBYP; a crystal starts only without.
+    pub external_clock: bool,
+    /// The error of HSI in millionths: -80,000 to 45,000 over the range of temperatures (F405 data sheet, table 34).
+    pub hsi_ppm: i32,
     pub start_up: StartUp,
     /// After each reset a boot loader starts the program, and leaves the chip as the one in ROM does after
     /// `dfu-util ... :leave`: see [`Chip::leave_loader`](super::Chip::leave_loader).
     pub boot_loader: bool,
+    /// The RAM has random content after the first power-on only: it remembers over the others, as over a short cut.
+    pub ram_remembers: bool,
+    /// The core cycles until the falling level of an interrupt line reaches the core: an interrupt that is acknowledged late
+    /// comes again. 12 are usual, some hundred possible behind a slow bus.
+    pub late_lines: u16,
     pub thresholds: Thresholds,
     pub flash_timing: Timing,
 }
@@ -77,8 +86,12 @@ impl Default for ChipVariant {
             cut_words_flip: false,
             lsi_hz: 32_000,
             hse_start: Time::from_ms(2),
+            external_clock: false,
+            hsi_ppm: 0,
             start_up: StartUp::Typical,
             boot_loader: false,
+            ram_remembers: false,
+            late_lines: 0,
             thresholds: Thresholds::Typical,
             flash_timing: Timing::Typical,
         }

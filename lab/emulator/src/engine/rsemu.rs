@@ -59,6 +59,9 @@ pub struct Rsemu {
     /// Whether reads of the flash have wait states.
     flash_waits: bool,
     irqs: u128,
+    /// The cycles until a line that falls reaches the core, and the cycle at which those do that have fallen.
+    late_lines: u64,
+    fall_at: Option<u64>,
     /// Set while no exception can be taken before SysTick interrupts, the chip changes or rsemu executes an instruction:
     /// the addresses that the MPU guards.
     settled: Option<Range<u32>>,
@@ -101,6 +104,8 @@ impl Rsemu {
             slowdown: variant.slowdown.max(1).into(),
             flash_waits: variant.flash_waits,
             irqs: 0,
+            late_lines: variant.late_lines.into(),
+            fall_at: None,
             settled: None,
             double_errors: Vec::new(),
             decoded: Decoded::new(),
@@ -141,6 +146,7 @@ impl Rsemu {
     /// Executes common instructions up to cycle `target`, if the next ones are; returns the cycles.
     fn run_fast(&mut self, target: u64) -> u64 {
         let Some(guarded) = self.settled.clone() else { return 0 };
+        let target = self.fall_at.map_or(target, |fall| target.min(fall));
         let target = match self.cycles_to_systick() {
             Some(ticks) => target.min(self.cycles + ticks),
             None => target,
@@ -378,6 +384,9 @@ impl Engine for Rsemu {
             return Halt::Deadline;
         }
         while self.cycles < target {
+            if self.fall_at.is_some_and(|fall| self.cycles >= fall) {
+                self.sync_irqs(&lock(&chip));
+            }
             if self.link.flash_busy.load(Relaxed) {
                 self.check_stall(self.cpu.pc());
             }

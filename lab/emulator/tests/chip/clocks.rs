@@ -38,7 +38,8 @@ fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
         assert_eq!(clocks.hclk, Clock { hz: 128_000_000, ppm: 20 });
         assert_eq!(clocks.pclk1, Clock { hz: 32_000_000, ppm: 20 });
         assert_eq!(clocks.pclk2, Clock { hz: 64_000_000, ppm: 20 });
-        assert_eq!(rig.read(RCC_CFGR) & 0xF, 0b1010);
+        assert_eq!(rig.read(RCC_CFGR) & 0xF, 0b0010, "SWS follows");
+        assert_eq!(rig.at(Time::from_ms(12)).read(RCC_CFGR) & 0xF, 0b1010);
         assert_eq!(rig.findings(), []);
     }
 }
@@ -133,6 +134,27 @@ fn a_crystal_is_ready_after_the_time_of_its_variant_or_never() {
         assert!(ready(hse_start, hse_start), "{hse_start}");
     }
     assert!(!ready(Time::MAX, Time::from_s(100)));
+}
+
+#[test]
+fn a_crystal_starts_without_hsebyp_and_an_external_clock_with_it() {
+    const HSEON: u32 = 1 << 16;
+    const HSEBYP: u32 = 1 << 18;
+    let ms = |ms| Time::from_ms(ms);
+    for external_clock in [false, true] {
+        let variant = ChipVariant { external_clock, ..ChipVariant::default() };
+        let mut rig = Rig::with_variant(Part::Stm32f405, variant);
+        let ready = |rig: &mut Rig, at| rig.at(at).read(RCC_CR) & HSEON << 1 != 0;
+        rig.write(RCC_CR, 0x83 | HSEON);
+        assert_ne!(ready(&mut rig, ms(5)), external_clock);
+        rig.write(RCC_CR, 0x83 | HSEON | HSEBYP);
+        assert_ne!(ready(&mut rig, ms(10)), external_clock, "it changes only while HSE is off");
+        rig.write(RCC_CR, 0x83);
+        assert_ne!(ready(&mut rig, ms(10)), external_clock, "the flag falls some cycles later");
+        rig.at(ms(11)).write(RCC_CR, 0x83 | HSEBYP);
+        rig.write(RCC_CR, 0x83 | HSEON | HSEBYP);
+        assert_eq!(ready(&mut rig, ms(15)), external_clock);
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! CAN1, CAN2 and CAN3 of a chip, each with an adapter on a bus of its own, and the pins that connect them.
 
 use emulator::{
+    Time,
     can::{
         Level,
         bxcan::{CanVariant, TransmitLock},
@@ -304,4 +305,23 @@ fn a_locked_transmit_pin_reaches_the_bus_only_in_its_alternate_function() {
         rig.run_us(1_000);
         assert_eq!(rig.buses[0].0.level(), level, "{moder:#x}");
     }
+}
+
+#[test]
+fn a_transmit_pin_that_is_a_low_output_holds_the_wire_dominant_until_the_time_out() {
+    const ODR: u32 = GPIOB + 0x14;
+    let mut rig = with_pins(Part::Stm32f405, 9, BOTH, MEGABIT);
+    rig.cans_mut()[0].controller().set_dominant_time_out(Some(Time::from_us(300)));
+    assert!(rig.acknowledges(0));
+    let mut is_dominant = |moder, odr, us| {
+        rig.write_all(&[(ODR, odr), (GPIOB, moder)]);
+        rig.run_us(us);
+        rig.buses[0].0.level() == Level::Dominant
+    };
+    assert!(!is_dominant(TX_IS_OUTPUT, 1 << 9, 10));
+    assert!(is_dominant(TX_IS_OUTPUT, 0, 10));
+    assert!(is_dominant(TX_IS_OUTPUT, 0, 280));
+    assert!(!is_dominant(TX_IS_OUTPUT, 0, 20));
+    assert!(!is_dominant(TX_IS_INPUT, 0, 10), "an input");
+    assert!(is_dominant(TX_IS_OUTPUT, 0, 10), "again");
 }

@@ -3,7 +3,7 @@
 use emulator::{
     Time,
     can::Clock,
-    chip::{Part, Problem, Width},
+    chip::{ChipVariant, Part, Problem, Width},
 };
 
 use crate::rig::{FLASH_ACR, RCC_APB1ENR, RCC_APB2ENR, RCC_CFGR, RCC_CR, RCC_PLLCFGR, Rig};
@@ -215,4 +215,29 @@ fn uses_of_a_timer_that_are_not_modelled_are_found() {
     let mut rig = counting(TIM2);
     rig.at_us(50).write(TIM2 + ARR, 20);
     assert!(matches!(rig.problems()[..], [Problem::Misuse(_)]));
+}
+
+/// RM0090 7.2.11: HSE/RTC, the crystal divided by RTCPRE, is an input of TIM11.
+#[test]
+fn tim11_captures_the_crystal_in_ticks_of_hsi() {
+    const TIM11: u32 = 0x4001_4800;
+    const OVERCAPTURE: u32 = 1 << 9;
+    for (hsi_ppm, ticks) in [(0, 992), (-80_000, 912), (45_000, 1_036)] {
+        let variant = ChipVariant { hsi_ppm, ..ChipVariant::default() };
+        let mut rig = Rig::with_variant(Part::Stm32f405, variant);
+        rig.write_all(&[(RCC_APB2ENR, 1 << 18), (RCC_CR, 0x1_0083), (RCC_CFGR, 31 << 16)]);
+        let start = Time::from_ms(5);
+        rig.at(start).write_all(&[(TIM11 + 0x50, 2), (TIM11 + 0x18, 0b1101)]);
+        rig.write_all(&[(TIM11 + 0x20, 1), (TIM11, 1)]);
+        let mut capture = |us| {
+            rig.at(start + Time::from_us(us));
+            (rig.read(TIM11 + 0x10), rig.read(TIM11 + 0x34))
+        };
+        // 31 us for eight periods.
+        let [first, second] = [40, 70].map(&mut capture);
+        assert_eq!((first.0 & 0x202, second.0 & 0x202), (2, 2));
+        assert!((second.1 - first.1).abs_diff(ticks / 2) <= 1, "{hsi_ppm}");
+        assert_eq!(capture(400).0 & OVERCAPTURE, OVERCAPTURE);
+        assert_eq!(rig.findings(), []);
+    }
 }

@@ -1,11 +1,16 @@
-//! The variants: possible differences of a chip from the emulated board's default.
+//! The variants: possible differences of a chip and of its surroundings from the emulated board's default.
 
 use emulator::{
     Time,
     board::Settings,
-    can::bxcan::{Acknowledge, CanVariant as Can, TransmitLock},
+    can::{
+        Clock,
+        bxcan::{Acknowledge, CanVariant as Can, TransmitLock},
+    },
     chip::{ChipVariant as Chip, StartUp, Thresholds, Timing},
 };
+
+use testkit::boards::nastiest;
 
 /// The names and settings of all variants, the default first.
 pub fn variants() -> Vec<(&'static str, Settings)> {
@@ -51,17 +56,34 @@ pub fn variants() -> Vec<(&'static str, Settings)> {
         ("reset, PLL and LSI as slow as allowed", Chip { start_up: StartUp::Slowest, ..usual }),
         ("a boot loader starts the program", Chip { boot_loader: true, ..usual }),
         ("flash as slow as allowed", Chip { flash_timing: Timing::Worst, ..usual }),
+        ("an external clock in place of the crystal", Chip { external_clock: true, ..usual }),
+        ("HSI 8 % too slow", Chip { hsi_ppm: -80_000, ..usual }),
+        ("HSI 4.5 % too fast", Chip { hsi_ppm: 45_000, ..usual }),
+        ("RAM remembers over power cuts", Chip { ram_remembers: true, ..usual }),
+        ("interrupt lines fall 12 cycles late", Chip { late_lines: 12, ..usual }),
+        ("interrupt lines fall 60 cycles late", Chip { late_lines: 60, ..usual }),
+        ("interrupt lines fall 400 cycles late", Chip { late_lines: 400, ..usual }),
     ];
     let settings = Settings::default();
     let can = can.map(|(name, can_variant)| (name, Settings { can_variant, ..settings }));
     let chip = chip.map(|(name, chip_variant)| (name, Settings { chip_variant, ..settings }));
-    let discovery = |thresholds| {
+    let supply = |supply_mv, thresholds| {
         let chip_variant = Chip { thresholds, ..usual };
-        Settings { supply_mv: 2_930, chip_variant, ..settings }
+        Settings { supply_mv, chip_variant, ..settings }
     };
-    let supply = [
-        ("2.93 V, voltage levels as low as allowed", discovery(Thresholds::Lowest)),
-        ("2.93 V, voltage levels as high as allowed", discovery(Thresholds::Highest)),
+    let crystal = |ppm| Settings { crystal: Clock { ppm, ..settings.crystal }, ..settings };
+    let transceiver = |us| Settings { dominant_time_out: Some(Time::from_us(us)), ..settings };
+    let board = [
+        ("2.93 V, voltage levels as low as allowed", supply(2_930, Thresholds::Lowest)),
+        ("2.93 V, voltage levels as high as allowed", supply(2_930, Thresholds::Highest)),
+        ("2.4 V, voltage levels as low as allowed", supply(2_400, Thresholds::Lowest)),
+        ("2.4 V, voltage levels as high as allowed", supply(2_400, Thresholds::Highest)),
+        ("crystal 0.25 % too slow", crystal(-2_500)),
+        ("crystal 0.25 % too fast", crystal(2_500)),
+        ("transceiver with a dominant time-out of 1.2 ms", transceiver(1_200)),
+        ("transceiver with a dominant time-out of 0.45 ms", transceiver(450)),
+        ("transceiver with a dominant time-out of 0.3 ms", transceiver(300)),
+        ("the surroundings at their nastiest, at once", nastiest()),
     ];
-    can.into_iter().chain(chip).chain(supply).collect()
+    can.into_iter().chain(chip).chain(board).collect()
 }

@@ -45,10 +45,14 @@ impl Controller {
     pub(in crate::can) fn drive(&mut self, now: Time) {
         self.now = now;
         self.line.act(now);
-        if self.next == self.driven || self.start > now {
+        let is_bit = self.next != self.driven && self.start <= now;
+        if is_bit {
+            self.driven = self.next;
+        }
+        self.follow_line(now);
+        if !is_bit {
             return;
         }
-        self.driven = self.next;
         if self.phase == Phase::Idle && self.driven == Level::Dominant {
             self.frame_start = now;
             self.decoder = Decoder::default();

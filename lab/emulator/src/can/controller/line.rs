@@ -1,4 +1,4 @@
-//! The line between a controller and the wire, and its faults.
+//! The line between a controller and the wire: its pins, its transceiver, and its faults.
 
 use super::Controller;
 use crate::{Time, can::Level};
@@ -6,11 +6,22 @@ use crate::{Time, can::Level};
 /// The controller's pins that are connected to its transceiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pins {
-    /// The level that it drives reaches the wire.
-    pub transmit: bool,
+    /// What the transceiver gets to transmit.
+    pub transmit: Transmit,
     /// It receives the wire's level, otherwise a dominant level. The manual leaves that open, but no station joins a bus by
     /// a pin that is not connected.
     pub receive: bool,
+}
+
+/// What a transmit pin carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transmit {
+    /// The level that the controller drives.
+    Controller,
+    /// A recessive level: the pin is an input, or a high output.
+    Recessive,
+    /// A dominant level: the pin is a low output.
+    Dominant,
 }
 
 /// The connection between a controller and the wire; a reset of the controller does not change it.
@@ -23,6 +34,11 @@ pub(super) struct Line {
     cut: bool,
     /// The first sample at or after each of these instants is inverted.
     flips: Vec<Time>,
+    /// The transceiver's dominant time-out, and its end for the present level.
+    time_out: Option<Time>,
+    ends: Option<Time>,
+    /// The transceiver does not pass on the present level, which has been dominant for too long.
+    is_blocked: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -32,22 +48,36 @@ struct State {
     locked: bool,
 }
 
+impl Pins {
+    pub const CONNECTED: Self = Self { transmit: Transmit::Controller, receive: true };
+}
+
 impl Default for Line {
     fn default() -> Self {
-        let now = State { pins: Pins { transmit: true, receive: true }, locked: false };
-        Self { now, next: None, cut: false, flips: Vec::new() }
+        let now = State { pins: Pins::CONNECTED, locked: false };
+        Self {
+            now,
+            next: None,
+            cut: false,
+            flips: Vec::new(),
+            time_out: None,
+            ends: None,
+            is_blocked: false,
+        }
     }
 }
 
 impl Line {
     pub fn next_action(&self) -> Time {
-        self.next.map_or(Time::MAX, |(at, _)| at)
+        let change = self.next.map_or(Time::MAX, |(at, _)| at);
+        change.min(self.ends.unwrap_or(Time::MAX))
     }
 
     pub fn act(&mut self, now: Time) {
         if let Some((_, next)) = self.next.take_if(|(at, _)| *at <= now) {
             self.now = next;
         }
+        self.is_blocked |= self.ends.take_if(|end| *end <= now).is_some();
     }
 
     /// Plans a change; an earlier plan takes effect now.
@@ -56,6 +86,15 @@ impl Line {
         let mut next = self.now;
         change(&mut next);
         self.next = Some((from, next));
+    }
+
+    /// Follows the level at the transceiver's input. A recessive one ends the time-out.
+    fn follow(&mut self, level: Level, now: Time) {
+        if level == Level::Recessive {
+            (self.ends, self.is_blocked) = (None, false);
+        } else if !self.is_blocked && self.ends.is_none() {
+            self.ends = self.time_out.map(|time_out| now + time_out);
+        }
     }
 
     /// Clears the state that a reset of the controller clears.
@@ -78,6 +117,11 @@ impl Line {
 }
 
 impl Controller {
+    /// Lets the transceiver end a dominant level after this time, until the next recessive one. `None`: it never does.
+    pub fn set_dominant_time_out(&mut self, time_out: Option<Time>) {
+        self.line.time_out = time_out;
+    }
+
     /// Connects the controller's pins to its transceiver, or disconnects them, from `from` on.
     pub fn connect(&mut self, pins: Pins, from: Time) {
         self.line.change(from, |line| line.pins = pins);
@@ -98,9 +142,16 @@ impl Controller {
         self.line.flips.push(at);
     }
 
+    /// Follows the level that the controller drives.
+    pub(super) fn follow_line(&mut self, now: Time) {
+        let level = self.transmitted();
+        self.line.follow(level, now);
+    }
+
     /// The level that the wire gets from this controller.
     pub(in crate::can) fn output(&self) -> Level {
-        if self.line.cut { Level::Recessive } else { self.transmitted() }
+        let is_open = self.line.cut || self.line.is_blocked;
+        if is_open { Level::Recessive } else { self.transmitted() }
     }
 
     /// Whether edges of the wire reach the controller.
@@ -135,7 +186,8 @@ impl Controller {
     /// The level that reaches the transceiver.
     fn transmitted(&self) -> Level {
         match self.line.now {
-            State { pins: Pins { transmit: false, .. }, .. } => Level::Recessive,
+            State { pins: Pins { transmit: Transmit::Recessive, .. }, .. } => Level::Recessive,
+            State { pins: Pins { transmit: Transmit::Dominant, .. }, .. } => Level::Dominant,
             State { locked: true, .. } => Level::Dominant,
             _ if self.mode.silent => Level::Recessive,
             _ => self.driven,

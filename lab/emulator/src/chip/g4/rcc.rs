@@ -24,6 +24,7 @@ const LAST: u32 = 0x9C;
 const HSION: u32 = 1 << 8;
 const HSIRDY: u32 = 1 << 10;
 const HSEON: u32 = 1 << 16;
+const HSEBYP: u32 = 1 << 18;
 const CSSON: u32 = 1 << 19;
 const PLLON: u32 = 1 << 24;
 const PLLQEN: u32 = 1 << 20;
@@ -57,6 +58,7 @@ pub struct Rcc {
     /// The crystal oscillates when switched on.
     crystal_works: bool,
     hse_start: Time,
+    is_external: bool,
     start_up: StartUp,
     regs: [u32; LAST as usize / 4 + 1],
     hse_ready: Time,
@@ -71,6 +73,7 @@ impl Rcc {
             crystal,
             crystal_works: crystal.hz > 0,
             hse_start: variant.hse_start,
+            is_external: variant.external_clock,
             start_up: variant.start_up,
             regs: [0; _],
             hse_ready: Time::MAX,
@@ -91,10 +94,10 @@ impl Rcc {
             return Err(Problem::Misuse("a clock that SYSCLK depends on was switched off"));
         }
         let starts = |bit: u32| value & bit != 0 && old & bit == 0;
+        *self.reg_mut(CR) = value;
         if starts(HSEON) {
             self.start_hse(now);
         }
-        *self.reg_mut(CR) = value;
         if value & HSEON == 0 {
             self.hse_ready = Time::MAX;
         }
@@ -110,7 +113,8 @@ impl Rcc {
 
     fn start_hse(&mut self, now: Time) {
         let ready = now.as_ps().saturating_add(self.hse_start.as_ps());
-        self.hse_ready = if self.crystal_works { Time::from_ps(ready) } else { Time::MAX };
+        let works = self.crystal_works && (self.reg(CR) & HSEBYP != 0) == self.is_external;
+        self.hse_ready = if works { Time::from_ps(ready) } else { Time::MAX };
     }
 
     fn pll_is_on_hse(&self) -> bool {

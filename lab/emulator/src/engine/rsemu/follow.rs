@@ -9,8 +9,8 @@ use crate::{Time, chip::Chip};
 
 impl Rsemu {
     /// Sets the interrupt inputs to the chip's current levels.
-    fn sync_irqs(&mut self, chip: &Chip) {
-        let chip_irqs = chip.irqs();
+    pub(super) fn sync_irqs(&mut self, chip: &Chip) {
+        let chip_irqs = chip.irqs() | self.fall_late(self.irqs & !chip.irqs());
         if chip.nmi() {
             self.cpu.with_sys(|sys| {
                 if !sys.is_active(Exception::NMI) {
@@ -28,6 +28,16 @@ impl Rsemu {
             self.cpu.set_irq(irq as u16, chip_irqs >> irq & 1 == 1);
         }
         self.irqs = chip_irqs;
+    }
+
+    /// The lines among those that have fallen at the chip that the core still sees.
+    fn fall_late(&mut self, fallen: u128) -> u128 {
+        let fall_at = match fallen {
+            0 => None,
+            _ => Some(self.fall_at.unwrap_or(self.cycles + self.late_lines)),
+        };
+        self.fall_at = fall_at.filter(|fall| self.cycles < *fall);
+        if self.fall_at.is_some() { fallen } else { 0 }
     }
 
     /// Updates the core to the chip's interrupts and clock.
