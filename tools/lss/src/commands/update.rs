@@ -33,6 +33,8 @@ enum Outcome {
     Confirmed,
     Present,
     LeftAlone,
+    /// It has refused the header.
+    Refused,
     ProgramFailed,
     Failed,
 }
@@ -90,14 +92,14 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
         writeln!(session.out, "not finished: start `lss update` again, and it goes on")?;
     }
     outcome?;
-    let failed = boards
-        .iter()
-        .filter(|board| matches!(board.outcome, Outcome::Failed | Outcome::ProgramFailed));
+    let failed = boards.iter().filter(|board| {
+        matches!(board.outcome, Outcome::Refused | Outcome::ProgramFailed | Outcome::Failed)
+    });
     let problems: Vec<String> = failed.map(Board::line).collect();
     Failure::of(&problems)
 }
 
-/// Installs the file on each board that it is for. The others do not get a program that has failed on one.
+/// Installs the file on each board that it is for. The others do not get one that has failed or was refused on one.
 fn install_all(
     session: &mut Session<'_>,
     file: &UpdateFile,
@@ -115,16 +117,20 @@ fn install_all(
     let ahead = ahead(file, session.bus.rate());
     // The number of boards that had their turn or were let clear, and those of the latter.
     let (mut begun, mut clearing) = (0, Vec::new());
-    let (mut is_proven, mut is_bad) = (false, false);
+    let (mut is_proven, mut bad) = (false, None);
     for (at, (id, board)) in fitting.iter_mut().enumerate() {
         let who_it_is = who(at, *id);
-        if is_bad {
-            let mut why = "left alone, since the program has failed on another board".to_owned();
+        if let Some(what) = bad {
+            let mut why = format!("{what} another board");
             if clearing.contains(id) {
                 why += ". Now ";
                 why += Loader::new(session, *id, &who_it_is).go_back()?;
             }
             board.why = Some(why);
+            if !is_quiet {
+                session.progress.clear();
+                writeln!(session.out, "{}", board.line())?;
+            }
             continue;
         }
         begun = begun.max(at + 1);
@@ -139,7 +145,11 @@ fn install_all(
             Ok(outcome) => outcome,
             Err(failure) => (Outcome::Failed, Some(failure.of_board()?)),
         };
-        is_bad = board.outcome == Outcome::ProgramFailed;
+        bad = match board.outcome {
+            Outcome::ProgramFailed => Some("the program has failed on"),
+            Outcome::Refused => Some("the file was refused by"),
+            _ => None,
+        };
         is_proven |= board.why.is_none();
         if !is_quiet && board.why.is_none() {
             let was_operational = board.row.state == Some("operational");
@@ -203,11 +213,12 @@ fn install(
         if installed.runs {
             loader.stop()?;
         }
-        let header = &file.bytes[..HEADER_LEN];
-        let outcome = loader.check(header).and_then(|()| loader.install(&file.bytes));
+        let checked = loader.check(&file.bytes[..HEADER_LEN]);
+        let failed = if checked.is_err() { Outcome::Refused } else { Outcome::Failed };
+        let outcome = checked.and_then(|()| loader.install(&file.bytes));
         if let Err(Failure::Refused(why)) = outcome {
             let back = loader.go_back()?;
-            return Err(Failure::Refused(format!("{why}. Now {back}")));
+            return Ok((failed, Some(format!("{why}. Now {back}"))));
         }
         outcome?;
     }

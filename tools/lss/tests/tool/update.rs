@@ -77,6 +77,8 @@ fn a_board_that_has_cleared_ahead_goes_back_when_the_program_fails_on_another() 
     assert!(outcome.error.contains("cannot be confirmed"), "{}", outcome.error);
     assert_eq!(fleet.kept(), [Some(crc_of(&new())), None, Some(crc_of(&old()))]);
     assert_ne!(fleet.board(2).chip.borrow().erases, 0, "it has cleared");
+    let words = "left alone: the program has failed on another board. Now the program before runs";
+    assert!(outcome.text.contains(words), "{}", outcome.text);
 }
 
 #[test]
@@ -138,6 +140,27 @@ fn a_file_for_another_board_is_refused_before_anything_is_erased() {
 }
 
 #[test]
+fn a_file_that_one_board_refuses_stops_the_program_of_no_other() {
+    let fleet = Fleet::new(&[5, 6, 7]);
+    let file = file_with("1.1", Kind::Good, 1200, |header| header.chip = text("stm32f446"));
+    let outcome = fleet.update(&file, "");
+    assert_eq!(outcome.code, 1);
+    assert!(outcome.error.starts_with("node 5  "), "{}", outcome.error);
+    for (node, number) in [(6, 2), (7, 3)] {
+        let line = format!(
+            "node {node}  11223344:55667788:00010203:{number:08X}  left alone: the file was refused by another board"
+        );
+        assert!(outcome.text.lines().any(|it| it == line), "{}", outcome.text);
+    }
+    let stops = fleet.sent().into_iter().filter(|frame| is_control(frame, 0));
+    assert!(stops.map(|frame| frame.cob_id()).eq([0x605]), "only board 5 stops its program");
+    let outcome = fleet.update(&file, "--json");
+    let json: Value = serde_json::from_str(&outcome.text).expect("JSON");
+    let outcomes = [0, 1, 2].map(|board| json["boards"][board]["outcome"].clone());
+    assert_eq!(outcomes, ["refused", "left-alone", "left-alone"]);
+}
+
+#[test]
 fn a_damaged_file_is_refused_before_anybody_is_asked() {
     let fleet = Fleet::new(&[5]);
     let good = new();
@@ -184,6 +207,8 @@ fn a_program_that_hangs_is_taken_back_and_no_other_board_gets_it() {
     assert!(outcome.error.contains(words), "{}", outcome.error);
     assert_eq!(fleet.kept(), [Some(crc_of(&old())); 2]);
     assert_eq!(fleet.board(1).chip.borrow().erases, 0);
+    let words = "node 6  11223344:55667788:00010203:00000002  left alone: the program has failed on another board\n";
+    assert!(outcome.text.ends_with(words), "{}", outcome.text);
 }
 
 #[test]
