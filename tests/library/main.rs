@@ -3,7 +3,6 @@
 mod application;
 mod application_arrays;
 mod application_events;
-mod application_master;
 mod application_own;
 mod bit_rate_solver;
 mod bus_listening;

@@ -17,7 +17,7 @@ use testkit::{
     node_rig::{ADDRESS, defaults, device},
 };
 
-use crate::{application_master::Commander, process_data::Machine, program::Loader};
+use crate::{process_data::Machine, program::Loader};
 
 /// The bus while nothing happens.
 const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
@@ -678,22 +678,14 @@ fn what_an_application_asks_the_runner_for_is_done_at_once() {
 }
 
 #[test]
-fn what_a_master_asks_the_runner_for_is_done_at_once() {
-    let device = device(ADDRESS).with_defaults(defaults(5));
-    let mut board = Board::with_application(device, Commander::new());
-    board.pass_ms(1);
-    board.take_sent();
-    board.runner.send(frames::stranger());
-    assert_eq!(board.take_sent(), ["181: 01 02 03"]);
-    assert_eq!([(); 3].map(|()| board.runner.store_values()), [true, true, false], "one waits");
-    let errors = [StoreError::NotSupported, StoreError::Full];
-    errors.into_iter().for_each(|error| board.runner.refuse_store(error));
-    board.runner.application(|master| assert_eq!(master.stored(), errors.map(Err)));
-    board.take_starts();
-    assert!(board.runner.switch_bit_rate(BitRate::Kbit125, 0));
-    assert_eq!(board.take_starts(), [(Mode::TakePart, 125)]);
-    assert!(board.runner.switch_bit_rate(BitRate::Kbit500, 9));
-    assert!(!board.runner.switch_bit_rate(BitRate::Kbit800, 9), "one at a time");
+fn a_device_that_cannot_store_refuses_with_its_reason() {
+    let mut board = operational("00");
+    board.chip().is_bus_free = true;
+    for (error, answer) in [(StoreError::NotSupported, "17 01"), (StoreError::Full, "17 02")] {
+        board.receive(&["04 01", "17"]);
+        board.runner.refuse_store(error);
+        assert_eq!(board.take_sent(), [answer]);
+    }
 }
 
 #[test]

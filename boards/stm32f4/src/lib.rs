@@ -24,8 +24,6 @@ mod log;
 #[cfg(all(target_os = "none", feature = "update"))]
 mod mailbox;
 #[cfg(target_os = "none")]
-pub mod master;
-#[cfg(target_os = "none")]
 mod pll;
 #[cfg(target_os = "none")]
 mod runner;

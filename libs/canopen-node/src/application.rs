@@ -53,7 +53,7 @@ use core::iter;
 use lss_slave::bytes::copy;
 
 use crate::{
-    Frame, Instant, Program,
+    Program,
     count::{Count, Declares},
     nmt::ErrorBehaviour,
     object_dictionary::{Description, Entry},
@@ -163,10 +163,6 @@ pub trait Application: Dictionary {
     /// object takes no code otherwise.
     const SETTINGS_BY_SDO: bool = false;
 
-    /// Whether the application commands the network, as an LSS master does: it [hears](Self::hear) all frames, sends its own,
-    /// switches the bit rate of the node, and stores its values, by the calls of the runner. They take no code otherwise.
-    const IS_MASTER: bool = false;
-
     /// Whether the node has the objects of program download (CiA 302-3) 1F50h, 1F51h, 1F56h and 1F57h, and 2001h with the
     /// state of an update. [`program`](Self::program) is what they do. They take no code otherwise.
     const PROGRAM_DOWNLOAD: bool = false;
@@ -194,11 +190,6 @@ pub trait Application: Dictionary {
     /// without.
     fn before_read(&mut self, index: u16, sub_index: u8) {
         let _ = (index, sub_index);
-    }
-
-    /// Hears a frame of another node, before the node handles it; only if it [is a master](Self::IS_MASTER).
-    fn hear(&mut self, frame: &Frame, now: Instant) {
-        let _ = (frame, now);
     }
 
     /// Handles an event of the node: a new NMT state or bit rate, an RPDO that has taken effect or is late, a SYNC, and of

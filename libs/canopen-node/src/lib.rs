@@ -46,7 +46,6 @@ mod cob_id;
 pub mod emergency;
 mod heartbeat;
 pub mod indicator;
-pub mod master;
 pub mod nmt;
 pub mod object_dictionary;
 pub mod pdo;

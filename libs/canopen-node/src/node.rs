@@ -6,7 +6,6 @@ mod agenda;
 mod areas;
 mod bit_rate;
 mod communication;
-mod master;
 mod messages;
 mod objects;
 mod periodic;
@@ -22,7 +21,7 @@ use lss_slave::Slave;
 
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
-    application::{Application, Event, NoApplication},
+    application::{Application, NoApplication},
     emergency::{APPLICATION, Emergency, Fault},
     lss::{self, Response, StateMachine, StoreError},
     nmt::{self, Command, slave::NmtSlave},
@@ -112,15 +111,11 @@ impl Storing {
         }
     }
 
-    /// Cancels the SDO client's request; a store in progress continues. The own request of a master stays.
-    #[inline(always)] // Otherwise it takes code where the application is no master.
-    fn forget_sdo<A: Application>(&mut self) {
-        if !(A::IS_MASTER && self.sdo_request.is_some_and(|download| download.is_own())) {
-            self.sdo_request = None;
-        }
+    /// Cancels the SDO client's request; a store in progress continues.
+    fn forget_sdo(&mut self) {
+        self.sdo_request = None;
         if let Store::Running(_, requester) | Store::Done(_, requester) = &mut self.store
             && let Requester::Sdo(download) = *requester
-            && !(A::IS_MASTER && download.is_own())
         {
             *requester = Requester::Nobody(download);
         }
@@ -249,7 +244,7 @@ impl<A: Application> Node<A> {
         let sync = self.product.communication.pdos.sync_cob_id().unwrap_or(UNUSED);
         let Communication { pdos, consumer, .. } = &self.product.communication;
         Receives {
-            all: A::IS_MASTER || self.slave.bit_rate().needs_all_frames(),
+            all: self.slave.bit_rate().needs_all_frames(),
             services: [lss::REQUEST_COB_ID, nmt::COMMAND_COB_ID, sdo, sync],
             rpdos: List::from_fn(|at| pdos.rpdo_cob_id(at, node).unwrap_or(UNUSED)),
             heartbeats: List::from_fn(|at| consumer.cob_id(at).unwrap_or(UNUSED)),
@@ -272,9 +267,6 @@ impl<A: Application> Node<A> {
     /// [`poll`](Self::poll) returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
     pub fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Action> {
-        if A::IS_MASTER {
-            self.product.application.hear(frame, now);
-        }
         let bit_rate = self.slave.bit_rate();
         let is_served = bit_rate.is_settled() || !bit_rate.is_listening();
         if !bit_rate.is_settled() {
@@ -567,7 +559,7 @@ impl<A: Application> Node<A> {
             let mut settings = persistent;
             // Their object is in this area.
             let change = Area::Application.change(Some(download));
-            if (A::SETTINGS_BY_SDO || A::IS_MASTER) && change == Change::Renew {
+            if A::SETTINGS_BY_SDO && change == Change::Renew {
                 settings = self.storing.written.apply(settings, self.slave.lss());
             }
             (settings, Requester::Sdo(download))
@@ -585,9 +577,6 @@ impl<A: Application> Node<A> {
                     self.storing.lss_requests = self.storing.lss_requests.saturating_sub(1);
                     let answer = Response::StoreConfiguration(outcome);
                     return Some(Action::Transmit(answer.to_frame()));
-                }
-                Requester::Sdo(download) if A::IS_MASTER && download.is_own() => {
-                    self.product.application.handle(Event::Stored(outcome));
                 }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {

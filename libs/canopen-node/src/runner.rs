@@ -181,28 +181,6 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         self.finish();
     }
 
-    /// Sends a frame of the application, as [`Node::send`] does.
-    pub fn send(&mut self, frame: Frame) {
-        if let Some(action) = self.node.send(frame, self.system.now()) {
-            self.act(action);
-        }
-        self.finish();
-    }
-
-    /// Switches the bit rate, as [`Node::switch_bit_rate`] does.
-    pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16) -> bool {
-        let begins = self.node.switch_bit_rate(rate, delay_ms, self.system.now());
-        self.finish();
-        begins
-    }
-
-    /// Stores the application's values, as [`Node::store_values`] does.
-    pub fn store_values(&mut self) -> bool {
-        let begins = self.node.store_values();
-        self.finish();
-        begins
-    }
-
     /// Handles received frames.
     pub fn handle_received(&mut self) {
         let mut now = self.event_time();

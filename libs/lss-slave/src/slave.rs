@@ -122,18 +122,6 @@ impl Slave {
         self.bit_rate.handle_frame(frame, now) && !self.bit_rate.is_switching()
     }
 
-    /// Begins a switch of the bit rate, as after configure bit timing parameters and activate bit timing parameters: for a
-    /// device that is the LSS master of its network, too, and switches with the others. The rate becomes pending. Returns
-    /// whether it is offered, and no other switch is in progress.
-    pub fn switch_bit_rate(&mut self, rate: BitRate, delay_ms: u16, now: Instant) -> bool {
-        let begins = !self.bit_rate.is_switching() && self.lss.configure_bit_rate(rate.into());
-        if begins {
-            self.bit_rate.end_search();
-            self.bit_rate.switch(delay_ms, now);
-        }
-        begins
-    }
-
     /// Handles an acknowledge or another event of the controller. A repeated event does no harm.
     pub fn handle_bus_event(&mut self, event: BusEvent, now: Instant) {
         if !self.bit_rate.is_settled() {

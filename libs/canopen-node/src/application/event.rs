@@ -1,6 +1,6 @@
 //! The events of the node that an application may need.
 
-use crate::{BitRate, NodeId, lss::StoreError, nmt};
+use crate::{BitRate, NodeId, nmt};
 
 /// An event of the node that an application may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +23,4 @@ pub enum Event {
     HeartbeatLost(NodeId),
     /// A heartbeat that was missing is back. If it is a boot-up, [`BootUp`](Self::BootUp) follows.
     HeartbeatBack(NodeId),
-    /// The store that the application has asked for has ended.
-    Stored(Result<(), StoreError>),
 }

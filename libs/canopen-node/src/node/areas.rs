@@ -17,17 +17,6 @@ pub(super) struct Download {
     pub confirmation: Message,
 }
 
-impl Download {
-    /// The store of the application's values that the application asks for itself, as by 1010h:3.
-    pub const OWN: Self =
-        Self { index: 0x1010, sub_index: 3, confirmation: Message::from_bytes([0; 8]) };
-
-    /// Whether the application has asked itself, so that no client waits.
-    pub fn is_own(&self) -> bool {
-        *self == Self::OWN
-    }
-}
-
 /// An area of the dictionary that is stored and restored apart from the other (CiA 301, objects 1010h and 1011h).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Area {

@@ -101,7 +101,7 @@ impl<A: Application> Node<A> {
     pub(super) fn end_sdo(&mut self) {
         self.end_sdo_transfer();
         self.sdo.reset();
-        self.storing.forget_sdo::<A>();
+        self.storing.forget_sdo();
     }
 
     /// Discards the current SDO transfer without an answer to the client.
@@ -274,7 +274,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     }
 
     fn forget_store(&mut self) {
-        self.storing.forget_sdo::<A>();
+        self.storing.forget_sdo();
     }
 
     fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {

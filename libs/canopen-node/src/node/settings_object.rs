@@ -82,11 +82,6 @@ impl Written {
         Ok(())
     }
 
-    /// Records that the application has made this bit rate pending.
-    pub const fn note_bit_rate(&mut self, rate: BitRate) {
-        self.bit_rate = Some(BitRateSetting::Fixed(rate));
-    }
-
     /// The settings to store.
     pub fn apply(&self, settings: Settings, lss: &StateMachine) -> Settings {
         let mut settings = settings;

@@ -180,11 +180,6 @@ impl Control {
         self.supervision.note_asked();
     }
 
-    /// Ends a search: the node takes part at home.
-    pub(crate) fn end_search(&mut self) {
-        self.supervision.stay_home();
-    }
-
     /// Begins the switch to the pending bit rate, with two delays of `delay_ms` milliseconds.
     pub(crate) fn switch(&mut self, delay_ms: u16, now: Instant) {
         let delay_micros = u32::from(delay_ms) * 1000;

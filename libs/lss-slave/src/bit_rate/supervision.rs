@@ -409,7 +409,7 @@ impl Supervision {
     }
 
     /// Takes part at home until the next error.
-    pub fn stay_home(&mut self) {
+    fn stay_home(&mut self) {
         if self.is_listening() {
             self.step = Some(Step::TakePart(self.home));
         }
