@@ -57,6 +57,8 @@ pub struct Bench {
     pub base: BitRate,
     /// Whether the stored settings of a board may differ from the original ones.
     pub is_changed: bool,
+    /// A board was not found at any bit rate, for longer than the supervision takes.
+    pub is_lost: bool,
 }
 
 impl Bench {

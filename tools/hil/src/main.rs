@@ -178,6 +178,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 boards: Vec::new(),
                 addresses: Vec::new(),
                 is_changed: false,
+                is_lost: false,
             };
             let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());

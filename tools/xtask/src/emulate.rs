@@ -94,6 +94,9 @@ pub struct Arguments {
     /// The crystal on the boards of --elf, in MHz
     #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26), requires = "elf")]
     crystal: u8,
+    /// Give the boards transceivers with this dominant time-out
+    #[arg(long, value_name = "MICROSECONDS", value_parser = clap::value_parser!(u16).range(1..))]
+    time_out: Option<u16>,
 }
 
 /// The node-ID of the first board; `None`: the boards are stored as unconfigured.
@@ -190,12 +193,14 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<Prepared> {
     let mut memory = Memory::open(arguments.flash.as_deref())?;
     let mut network = Network::new();
     network.record(Recording::Off);
+    let dominant_time_out = arguments.time_out.map(|us| Time::from_us(us.into()));
     let image = (arguments.boards > 0)
         .then(|| example::image(chip_of_ours, arguments.example))
         .transpose()?;
     for (number, (preset, image)) in presets.into_iter().zip(image.iter().cycle()).enumerate() {
         let unique_id = boards::unique_id(number);
-        let settings = board::Settings { unique_id, ..example::board(arguments.example) };
+        let of_example = example::board(arguments.example);
+        let settings = board::Settings { unique_id, dominant_time_out, ..of_example };
         let mut board = Board::new(chip_of_ours, image, settings);
         memory.restore(&mut board, image, number, preset)?;
         network.add_board(board);
@@ -203,7 +208,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<Prepared> {
     network.run_for(FIRST_START);
     memory.save(&network)?;
     let crystal = Clock { hz: u32::from(arguments.crystal) * 1_000_000, ppm: 0 };
-    let settings = board::Settings { crystal, controller: controller.into(), ..Default::default() };
+    let controller = controller.into();
+    let settings = board::Settings { crystal, controller, dominant_time_out, ..Default::default() };
     let programs = Programs::load(&arguments.elf, chip, settings, &mut memory, &mut network)?;
     Ok(Prepared { network, memory, programs })
 }

@@ -45,9 +45,15 @@ impl Bench {
         &mut self,
         wanted: &[(Board, Option<NodeId>, BitRateSetting)],
     ) -> Result<Vec<String>, Stop> {
+        /// A board at a commanded rate at which it cannot answer goes home after 30 s (docs/bit-rates.md).
+        const SUPERVISION: Duration = Duration::from_secs(40);
+        let begin = Instant::now();
         let mut rest = wanted.to_vec();
         let mut refusals = Vec::new();
-        for attempt in 0..3 {
+        for attempt in 0.. {
+            if attempt >= 3 && (self.is_lost || begin.elapsed() > SUPERVISION) {
+                break;
+            }
             for rate in board::rates_from(self.bus.rate()) {
                 if rest.is_empty() {
                     return Ok(refusals);
@@ -69,12 +75,13 @@ impl Bench {
                 }
                 rest = still;
                 // A board that answers nothing may still listen, and return to its stored rate.
-                if rest.len() < count || attempt == 1 {
+                if rest.len() < count || attempt % 2 == 1 {
                     self.bus.nmt(RESET_NODE, 0)?;
                     self.bus.pass(Duration::from_millis(100))?;
                 }
             }
         }
+        self.is_lost = true;
         refusals.extend(rest.iter().map(|(board, ..)| format!("{board} answers at no bit rate")));
         Ok(refusals)
     }

@@ -78,7 +78,9 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
             bench.settle()?;
         }
     }
-    judge(bench, &rates, &bad);
+    if let Some(words) = suspect(&rates, &bad) {
+        bench.report.bench(words);
+    }
     Ok(())
 }
 
@@ -86,7 +88,9 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
     if !can_change(bench) {
         return Ok(());
     }
-    for rate in rates(bench) {
+    let mut bad = Vec::new();
+    let rates = rates(bench);
+    for &rate in &rates {
         let what = format!("{rate} by store and reset");
         if !bench.store(&what, &bench.boards.clone(), rate.into())? {
             bench.settle()?;
@@ -101,6 +105,7 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
         if check(bench, rate, &what)? {
             continue;
         }
+        bad.push(rate);
         if rate != before {
             bench.bus.open(before)?;
             if bench.missing()?.is_empty() {
@@ -112,6 +117,9 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
             }
         }
         bench.settle()?;
+    }
+    if let Some(words) = suspect(&rates, &bad) {
+        bench.report.bench(words);
     }
     Ok(())
 }
@@ -141,14 +149,51 @@ fn check(bench: &mut Bench, rate: BitRate, what: &str) -> Result<bool, Stop> {
     Ok(!has_errors)
 }
 
-/// Names the cause if only fast rates are bad.
-fn judge(bench: &mut Bench, rates: &[BitRate], bad: &[BitRate]) {
-    let slow_are_good = rates.iter().any(|rate| !FAST.contains(rate) && !bad.contains(rate));
-    if !bad.is_empty() && slow_are_good && bad.iter().all(|rate| FAST.contains(rate)) {
-        bench.report.bench(
-            "termination suspected: only fast bit rates fail. There must be 120 ohm between CANH and CANL at both ends \
-             of the bus and nowhere else (60 ohm without power), and the cable must be short: 25 m at 1000 kbit/s. \
-             A wrong sample point or crystal does the same",
+/// The cause of bad rates among those that were tried, if there is a likely one.
+fn suspect(rates: &[BitRate], bad: &[BitRate]) -> Option<&'static str> {
+    let good = || rates.iter().filter(|rate| !bad.contains(rate));
+    // The index of a rate in the table of CiA 305 grows as the rate falls.
+    let slowest_good = good().map(|rate| rate.index()).max()?;
+    if bad == [BitRate::Kbit800] {
+        return Some(
+            "adapter suspected: only 800 kbit/s fails. Some adapters have 750 kbit/s in its place, or no exact timing for it",
         );
+    }
+    if !bad.is_empty() && bad.iter().all(|rate| rate.index() > slowest_good) {
+        return Some(
+            "transceiver suspected: only slow bit rates fail. The dominant time-out of many transceivers is shorter than 11 \
+             bits of them: 0.45 ms needs 50 kbit/s or more. That of the adapter may be the one",
+        );
+    }
+    let slow_are_good = good().any(|rate| !FAST.contains(rate));
+    (!bad.is_empty() && slow_are_good && bad.iter().all(|rate| FAST.contains(rate))).then_some(
+        "termination suspected: only fast bit rates fail. There must be 120 ohm between CANH and CANL at both ends \
+         of the bus and nowhere else (60 ohm without power), and the cable must be short: 25 m at 1000 kbit/s. \
+         A wrong sample point or crystal does the same",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rates_that_fail_name_a_part_of_the_bench() {
+        let named =
+            |bad: &[BitRate]| suspect(&BitRate::ALL, bad).and_then(|words| words.split(' ').next());
+        let [kbit_10, kbit_20] = [BitRate::Kbit10, BitRate::Kbit20];
+        for (bad, part) in [
+            (&[][..], None),
+            (&[kbit_10], Some("transceiver")),
+            (&[kbit_20, kbit_10], Some("transceiver")),
+            (&[BitRate::Kbit800], Some("adapter")),
+            (&[BitRate::Kbit1000], Some("termination")),
+            (&[BitRate::Kbit800, BitRate::Kbit1000], Some("termination")),
+            (&[kbit_20], None),
+            (&[BitRate::Kbit125], None),
+            (&BitRate::ALL, None),
+        ] {
+            assert_eq!(named(bad), part, "{bad:?}");
+        }
     }
 }

@@ -136,3 +136,16 @@ fn ctrl_c_restores_the_board() {
     run.assert_named("interrupted");
     run.assert_left("restored");
 }
+
+/// 10 and 20 kbit/s have 11 bits that are longer than the dominant time-out of a common transceiver.
+#[test]
+#[ignore = "takes 80 s; `.ci/run chips` runs it"]
+fn a_transceiver_that_bears_no_slow_rates_is_named_and_the_board_restored() {
+    let boards = Emulated::start(&["--node-id", "5", "--time-out", "450"]);
+    for (session, how) in [("activate", "activation"), ("store", "store and reset")] {
+        let run = run::run(&format!("slow-{session}"), &boards.adapter(), &["--session", session]);
+        run.assert_named(&format!("10 kbit/s by {how}: silent after the switch"));
+        assert!(run.output.contains("transceiver suspected: only slow bit rates fail"));
+        run.assert_left("restored");
+    }
+}
