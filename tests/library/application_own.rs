@@ -4,14 +4,15 @@
 use canopen_node::{
     Application, Node,
     application::{Domain, Event, LongText},
-    nmt::ErrorBehaviour,
+    nmt::{self, ErrorBehaviour},
     object_dictionary::DefaultValue,
     objects,
     sdo::Abort,
 };
 use testkit::{
+    flash::BoardFlash,
     frames::{SILENCE, of_node},
-    node_rig::{ADDRESS, NodeRig, device},
+    node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
 };
 
@@ -160,4 +161,30 @@ fn the_data_sheet_has_the_declared_1016h_and_1029h() {
 fn an_application_may_hold_what_cannot_be_copied_and_begins_with_its_start_value() {
     let valve = Valve::new();
     assert_eq!((valve.profile.len(), valve.lost, valve.opening), (0, 0, 10));
+}
+
+objects! {
+    /// An application without objects, that hears and reports.
+    struct Listener, values ListenerValue;
+
+    private events: Vec<Event> = Vec::new();
+}
+
+impl Application for Listener {
+    fn handle(&mut self, event: Event) {
+        self.events.push(event);
+    }
+}
+
+#[test]
+fn an_application_without_objects_gets_events_and_reports_errors() {
+    let device = device(ADDRESS).with_defaults(defaults(5));
+    let mut board = NodeRig::with_application(device, BoardFlash::blank(0), 0, Listener::new());
+    assert_eq!(board.nmt("01 05"), SILENCE);
+    let events = &board.node.application().events;
+    assert!(events.contains(&Event::Nmt(nmt::State::Operational)), "{events:?}");
+    assert!(board.node.report(0x5000, 0, [0; 5]));
+    assert_eq!(board.pass_ms(0), ["085: 00 50 01 00 00 00 00 00"]);
+    board.node.end_report(0x5000);
+    assert_eq!(board.pass_ms(0), ["085: 00 00 00 00 00 00 00 00"]);
 }

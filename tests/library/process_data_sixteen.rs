@@ -91,7 +91,7 @@ fn sixteen_pdos_are_stored() {
     board.power_cycle();
     for number in 5..=16 {
         let at = number - 1;
-        assert_eq!(board.number(0x1800 + at, 1), 0x4000_0400 + u32::from(number));
+        assert_eq!(board.number(0x1800 + at, 1), 0x400 + u32::from(number));
         assert_eq!(board.number(0x1A00 + at, 1), 0x6000_0108);
         assert_eq!(board.number(0x1400 + at, 1), 0x500 + u32::from(number));
     }

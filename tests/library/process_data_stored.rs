@@ -136,7 +136,7 @@ fn only_cob_ids_at_their_default_follow_a_new_node_id() {
         [(0x1400, 1), (0x1401, 1), (0x1800, 1), (0x1801, 1), (0x1802, 1)]
             .map(|(index, sub_index)| board.number(index, sub_index))
     };
-    let expected = [0x333, 0x305, 0x4000_0185, 0xC000_0285, 0x4000_0385];
+    let expected = [0x333, 0x305, 0x4000_0185, 0x8000_0285, 0x385];
     board.power_cycle();
     assert_eq!(cob_ids(&mut board), expected);
     board.nmt("82 05");
@@ -217,7 +217,7 @@ fn a_stored_pdo_whose_objects_are_gone_stays_as_it_is_declared() {
         NodeRig::with_application(test_device(), flash, 0, NewMachine::new());
     let all: Vec<_> = (0..4).map(|at| pdo(&mut new, 0x1800 + at)).collect();
     let declared = [
-        (0x4000_0333, 5, vec![0x6000_0108, 0x6200_0108]),
+        (0x333, 5, vec![0x6000_0108, 0x6200_0108]),
         (0x4000_02C0, 255, vec![0x6200_0320]),
         (0xC000_03C0, 255, vec![]),
         (0xC000_04C0, 255, vec![]),
@@ -304,7 +304,7 @@ fn illegal_stored_parameters_are_not_taken() {
         (0x1400, 0, 0x21, pdo(&[0x800, 255])),
         (0x1600, 0, 0x20, pdo(&[0x800, 255])),
         (0x1800, 0, 0x20, with(0, 0x601)),
-        (0x1800, 0, 0x20, with(0, 0x4000_0333)),
+        (0x1800, 0, 0x20, with(0, 0x2000_0333)),
         (0x1800, 0, 0x20, with(1, 0x1FF)),
         (0x1800, 0, 0x20, with(2, 0x1_0000)),
         (0x1800, 0, 0x20, with(3, 0x1_0000)),
@@ -338,7 +338,7 @@ fn the_parameters_of_process_data_are_packed_as_documented() {
         &[0x10, 0, 6, 0, 0x20, 3, 0, 0x62],
         &[0x00, 0x18, 0, 0x20, 28, 0, 0, 8, 0, 0, 255, 0, 0, 0],
         &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x08, 1, 0, 0x60, 0x10, 2, 0, 0x60],
-        &[0x01, 0x18, 0, 0x20, 24, 0, 0, 8, 0, 0x80, 1, 0, 0, 0],
+        &[0x01, 0x18, 0, 0x20, 24, 0, 0, 8, 0, 0xC0, 1, 0, 0, 0],
         &[0, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x40, 3, 0, 0x60],
         &[0x17, 0x10, 0, 0x06, 2, 0, 0, 0],
         &[0x16, 0x10, 1, 0x07, 4, 0, 0xE8, 3, 5, 0],

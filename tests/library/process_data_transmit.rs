@@ -5,6 +5,7 @@ use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
     node_rig::{ADDRESS, NodeRig, defaults, device},
+    sdo::Client,
 };
 
 use crate::process_data::{Board, Machine, board, change, map, operational, receive, set};
@@ -139,6 +140,43 @@ fn parameters_that_are_written_leave_the_inhibit_time() {
         assert!(!board.actions().any(|action| is_pdo(&action)), "{writes:X?}");
         assert_eq!(board.pass_us(5_999), SILENCE, "{writes:X?}");
         assert_eq!(board.pass_us(1), ["1C0: 01 00 00"], "{writes:X?}");
+    }
+}
+
+#[test]
+fn an_inhibit_time_that_nobody_has_looked_at_for_any_time_is_over() {
+    // Not valid, and synchronous.
+    for (end, begin) in [
+        ("23 00 18 01 C0 01 00 80", "23 00 18 01 C0 01 00 00"),
+        ("2F 00 18 02 01", "2F 00 18 02 FF"),
+    ] {
+        for minutes in [1, 35, 36, 40, 60, 71, 72, 108] {
+            let mut board = inhibited_for_10_ms();
+            board.sdo(end);
+            board.pass_ms(minutes * 60_000);
+            let frames = board.sdo(begin);
+            assert_eq!(
+                frames.0.len(),
+                2,
+                "{minutes} minutes: the answer and the PDO, not {frames:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_cob_id_reads_as_it_was_written() {
+    for (index, id) in [(0x1800, 0x1C0), (0x1400, 0x240)] {
+        for bits in [0, 0x4000_0000, 0x8000_0000, 0xC000_0000] {
+            let mut board = board();
+            set(&mut board, index, 1, 0x8000_0000 | bits | id, 4);
+            assert_eq!(board.number(index, 1), 0x8000_0000 | bits | id);
+            set(&mut board, index, 1, bits | id, 4);
+            assert_eq!(board.number(index, 1), bits | id);
+            board.sdo("23 10 10 01 73 61 76 65");
+            board.power_cycle();
+            assert_eq!(board.number(index, 1), bits | id, "after a store");
+        }
     }
 }
 

@@ -172,7 +172,7 @@ const ENDS: [End; 9] = [
 ];
 
 /// A board on which this has ended a block download after 42 segments.
-fn board_after(end: fn(&mut Board)) -> Board {
+fn board_after(end: impl Fn(&mut Board)) -> Board {
     let mut board = board();
     board.sdo("C0 00 23 01");
     assert_eq!(send(&mut board, &(1..=41).collect::<Vec<_>>(), &bytes(2_000), 0), "");
@@ -184,26 +184,41 @@ fn board_after(end: fn(&mut Board)) -> Board {
 #[test]
 fn the_rest_of_a_block_whose_transfer_has_ended_is_not_executed() {
     for (name, end) in ENDS {
-        for (rest, request, answer) in [
-            // To the end of the block, to the last segment of all, and one, which the request looks like.
-            (&(43..=127).collect::<Vec<_>>()[..], "2B", "5C0: 60 17 10 00 00 00 00 00"),
-            (&[43, 0xAC], "2D", "5C0: 80 17 10 00 12 00 07 06"),
-            (&[43], "2B", "5C0: 60 17 10 00 00 00 00 00"),
-        ] {
-            let mut board = board_after(end);
-            for number in rest {
-                let segment = format!("{number:02X} 17 10 00 39 30");
-                assert_eq!(board.sdo(&segment), SILENCE, "{name}, {number}");
+        if matches!(name, "abort by the client" | "time-out") {
+            continue;
+        }
+        for lost in [0, 1, 5] {
+            // To the end of the block, to the last segment of all, to silence, and to an abort.
+            for (rest, end_ms) in [
+                ((43 + lost..=127).collect::<Vec<_>>(), 0),
+                (vec![43 + lost, 0xAF], 0),
+                (vec![43 + lost], 100),
+                (vec![43 + lost, 0x80], 0),
+            ] {
+                let mut board = board_after(end);
+                for number in rest {
+                    assert_eq!(board.pass_ms(70), SILENCE, "{name}, {number}");
+                    let segment = format!("{number:02X} 17 10 00 39 30");
+                    assert_eq!(board.sdo(&segment), SILENCE, "{name}, {number}");
+                }
+                board.pass_ms(end_ms);
+                assert_eq!(board.number(0x1017, 0), 0, "{name}");
+                let request = board.sdo("2B 17 10 00 39 30");
+                assert_eq!(request, ["5C0: 60 17 10 00 00 00 00 00"], "{name}");
             }
-            assert_eq!(board.number(0x1017, 0), 0, "{name}");
-            assert_eq!(board.sdo(&format!("{request} 17 10 00 39 30")), [answer], "{name}");
         }
     }
 }
 
 #[test]
-fn a_client_that_begins_another_transfer_at_once_is_served() {
+fn a_client_that_has_ended_a_block_or_been_silent_begins_another_transfer_at_once() {
     for (name, end) in ENDS {
+        let end = |board: &mut Board| {
+            end(board);
+            if !matches!(name, "abort by the client" | "time-out") {
+                board.pass_ms(100);
+            }
+        };
         for request in ["40 18 10 04", "2F 00 21 01 09", "21 00 22 02 03", "A4 08 10 00 7F"] {
             let mut board = board_after(end);
             let [answer] = &board.sdo(request).0[..] else { panic!("{name}, {request}") };

@@ -60,13 +60,15 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
         Ok(first) => first,
         Err(why) => return Ok(Err(why)),
     };
-    match first[0] {
+    let [command, _, _, _, number @ ..] = first;
+    let announced = match command {
         // Segments follow.
-        0x40 | 0x41 => {}
+        0x40 => None,
+        0x41 => Some(u32::from_le_bytes(number) as usize),
         // Expedited, without its length and with it.
-        0x42 => return Ok(Ok(first[4..].to_vec())),
-        command => return Ok(Ok(first[4..8 - usize::from(command >> 2 & 3)].to_vec())),
-    }
+        0x42 => return Ok(Ok(number.to_vec())),
+        _ => return Ok(Ok(number[..4 - usize::from(command >> 2 & 3)].to_vec())),
+    };
     let mut value = Vec::new();
     let mut toggle = 0;
     while value.len() < LONGEST {
@@ -76,8 +78,11 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
             Ok(segment) => segment,
             Err(why) => return Ok(Err(why)),
         };
-        value.extend(&segment[1..8 - usize::from(segment[0] >> 1 & 7)]);
+        let unused = usize::from(segment[0] >> 1 & 7);
+        value.extend(&segment[1..8 - unused]);
         if segment[0] & 1 == 1 {
+            // A last segment that does not say how many bytes count is as long as announced (CiA 301, 7.2.4.3.4).
+            value.truncate(announced.filter(|_| unused == 0).unwrap_or(LONGEST));
             return Ok(Ok(value));
         }
         toggle ^= 0x10;

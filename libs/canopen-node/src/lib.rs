@@ -67,8 +67,8 @@ pub use application::Application;
 pub use count::Count;
 pub use device::Device;
 pub use lss_slave::{
-    BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, InvalidNodeId, NodeId, Settings,
-    bit_rate, lss, settings,
+    BitRate, BitRateSetting, BitRates, BusEvent, Deadline, Frame, Instant, InvalidNodeId, NodeId,
+    Settings, bit_rate, lss, settings,
 };
 pub use node::{Action, Confirmation, Node, Program, Receives};
 pub use numbers::Numbers;

@@ -353,7 +353,7 @@ impl<A: Application> Node<A> {
     /// Returns whether there was room: up to eight errors of the application may be present at a time. A further one, and
     /// the error code 0, have no effect.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
-        if code == 0 || !Self::HAS_APPLICATION {
+        if code == 0 {
             return false;
         }
         self.agenda.add(Tasks::of(&[Task::Messages]));
@@ -363,10 +363,8 @@ impl<A: Application> Node<A> {
     /// Ends an error of the application; does nothing if it is not present. A message with error code 0 follows when no
     /// error is left.
     pub fn end_report(&mut self, code: u16) {
-        if Self::HAS_APPLICATION {
-            self.emergency.end(APPLICATION, code);
-            self.agenda.add(Tasks::of(&[Task::Messages]));
-        }
+        self.emergency.end(APPLICATION, code);
+        self.agenda.add(Tasks::of(&[Task::Messages]));
     }
 
     /// Takes a stored parameter in place of the default, if the node has it with this data type and the value is within

@@ -400,14 +400,10 @@ impl<N: Numbers> Pdos<N> {
         if N::TPDOS == 0 {
             return None;
         }
-        let timed_out = self.event_driven.into_iter().filter_map(|at| {
-            let end = self
-                .tpdos
-                .as_ref()
-                .get(at)?
-                .is_timed_out(self.current.tpdos.as_ref().get(at)?, now)?;
-            Some((at, end))
-        });
+        let timed_out = self
+            .event_driven
+            .into_iter()
+            .filter_map(|at| Some((at, self.tpdos.as_ref().get(at)?.is_timed_out(now)?)));
         timed_out.reduce(|first, other| if first.1.has_come(other.1) { first } else { other })
     }
 
@@ -504,7 +500,7 @@ impl<N: Numbers> Pdos<N> {
         if let Object::RpdoMapping(_) | Object::TpdoMapping(_) = object {
             return pdo.set_mapping(direction, sub_index, value, objects);
         }
-        pdo.set_parameter(sub_index, value, base(direction, at), node)?;
+        pdo.set_parameter(direction, sub_index, value, base(direction, at), node)?;
         match direction {
             Receive => self.start_rpdo(at, node),
             Transmit => {

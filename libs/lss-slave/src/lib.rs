@@ -200,4 +200,4 @@ pub use can::Frame;
 pub use node_id::{InvalidNodeId, NodeId};
 pub use settings::Settings;
 pub use slave::{Action, Slave};
-pub use time::Instant;
+pub use time::{Deadline, Instant};

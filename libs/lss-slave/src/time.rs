@@ -1,4 +1,6 @@
-//! The node's time: a wrapping count of microseconds.
+//! The node's time: a wrapping count of microseconds, and deadlines in it.
+
+use core::num::NonZeroU32;
 
 /// A point in time: microseconds of a free-running 32-bit count that wraps every 71.6 minutes.
 ///
@@ -63,9 +65,36 @@ impl Instant {
         0 < ahead && ahead <= micros
     }
 
-    /// Whether this instant is at or before `now`.
+    /// Whether this instant is at or before `now`. Only for one that is looked at when it comes, as [`poll_at`] asks for;
+    /// any other is a [`Deadline`].
+    ///
+    /// [`poll_at`]: crate::Slave::poll_at
     #[inline]
     pub const fn has_come(self, now: Self) -> bool {
         self.micros_after(now) == 0
+    }
+}
+
+/// The end of a wait, with its length: however late somebody looks, it lies in the future for no longer than the wait.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Deadline {
+    end: Instant,
+    micros: NonZeroU32,
+}
+
+impl Deadline {
+    /// The end of a wait of `micros` that begins `now`; `None` if there is nothing to wait for.
+    pub fn after(now: Instant, micros: u32) -> Option<Self> {
+        Some(Self { end: now.plus_micros(micros), micros: NonZeroU32::new(micros)? })
+    }
+
+    /// The end of the wait.
+    pub const fn end(self) -> Instant {
+        self.end
+    }
+
+    /// Whether the wait is over.
+    pub const fn is_over(self, now: Instant) -> bool {
+        !self.end.is_ahead(now, self.micros.get())
     }
 }

@@ -42,7 +42,7 @@ impl<A: Application> Node<A> {
         {
             program.requested();
         }
-        self.sdo.handle(request, self.serves_sdo());
+        self.sdo.handle(request, self.serves_sdo(), now);
         // `poll` holds an answer back while a program has no room for what would follow.
         if A::PROGRAM_DOWNLOAD || self.is_due(now) {
             self.agenda.add(Tasks::of(&[Task::Sdo]));

@@ -6,8 +6,6 @@ use crate::{Application, Frame, Instant, Numbers, application::Event};
 impl<A: Application> Node<A> {
     /// Whether the node has PDOs or a heartbeat consumer.
     const HAS_PROCESS_DATA: bool = Communication::<A::Numbers>::IS_USED;
-    /// Whether there is an application, which may have process data and report errors.
-    pub(super) const HAS_APPLICATION: bool = !A::OBJECTS.is_empty() || A::PROGRAM_DOWNLOAD;
 
     pub(super) fn handle_process_data(&mut self, frame: &Frame, now: Instant) {
         let is_served = self.node_id().is_some() && !self.slave.bit_rate().is_switching();
@@ -33,9 +31,6 @@ impl<A: Application> Node<A> {
 
     /// Informs the application and process data of a new NMT state and bit rate.
     pub(super) fn inform(&mut self) -> Option<Action> {
-        if !Self::HAS_APPLICATION {
-            return None;
-        }
         let (state, rate, node) = (self.nmt_state(), self.bit_rate(), self.node_id());
         let has_left_operational = self.product.inform(state, rate, node);
         self.agenda.add(Tasks::of(&[Task::Producers]));

@@ -6,13 +6,15 @@ use crate::{
     sdo::Abort,
 };
 
-/// In the COB-ID of a TPDO: it answers no remote frame. An RPDO does not care.
+/// In the COB-ID of a TPDO: no remote frame is allowed on it. No PDO answers one, but the bit reads as it was written.
 const NO_REMOTE_FRAME: u32 = 1 << 30;
 
 /// The parameters of a PDO. Inhibit time and SYNC start value belong to TPDOs.
 #[derive(Clone, Copy, Debug)]
 pub struct Pdo {
     pub(super) cob_id: CobId,
+    /// A master has changed bit 30 of the COB-ID, which is set in a new TPDO and clear in a new RPDO.
+    is_bit_30_changed: bool,
     pub(super) mapping: Mapping,
     pub(super) transmission_type: u8,
     /// In multiples of 100 us.
@@ -42,6 +44,7 @@ const fn check(direction: Direction, number: usize, transmission_type: u8, is_va
 impl Pdo {
     pub(super) const UNUSED: Self = Self {
         cob_id: CobId::new(false),
+        is_bit_30_changed: false,
         mapping: Mapping::EMPTY,
         transmission_type: 255,
         inhibit_time: 0,
@@ -80,6 +83,7 @@ impl Pdo {
             inhibit_time: declaration.inhibit_time,
             event_timer_ms: declaration.event_timer_ms,
             sync_start_value: declaration.sync_start_value,
+            ..Self::UNUSED
         }
     }
 
@@ -102,7 +106,7 @@ impl Pdo {
     /// The parameters as they are stored before the mapping.
     pub(super) fn stored(&self) -> [u32; 5] {
         [
-            self.cob_id.stored(),
+            self.cob_id.stored() | if self.is_bit_30_changed { NO_REMOTE_FRAME } else { 0 },
             self.transmission_type.into(),
             self.inhibit_time.into(),
             self.event_timer_ms.into(),
@@ -126,7 +130,8 @@ impl Pdo {
             && inhibit_time.max(event_timer_ms) <= u16::MAX.into()
             && sync_start_value <= 240;
         Some(Self {
-            cob_id: CobId::from_stored(cob_id)?,
+            cob_id: CobId::from_stored(cob_id & !NO_REMOTE_FRAME)?,
+            is_bit_30_changed: cob_id & NO_REMOTE_FRAME != 0,
             mapping: Mapping::from_stored(mapping, direction, objects)?,
             transmission_type: transmission_type as u8,
             inhibit_time: inhibit_time as u16,
@@ -145,8 +150,10 @@ impl Pdo {
         node: Option<NodeId>,
     ) -> u32 {
         match (sub_index, direction) {
-            (1, Direction::Transmit) => self.cob_id.value(base, node) | NO_REMOTE_FRAME,
-            (1, Direction::Receive) => self.cob_id.value(base, node),
+            (1, _) => {
+                let is_set = self.is_bit_30_changed != (direction == Direction::Transmit);
+                self.cob_id.value(base, node) | if is_set { NO_REMOTE_FRAME } else { 0 }
+            }
             (2, _) => self.transmission_type.into(),
             (3, _) => self.inhibit_time.into(),
             (5, _) => self.event_timer_ms.into(),
@@ -160,13 +167,18 @@ impl Pdo {
     /// [`Abort::InvalidValue`], or [`Abort::DeviceState`] for what a valid PDO does not allow.
     pub(super) fn set_parameter(
         &mut self,
+        direction: Direction,
         sub_index: u8,
         value: u32,
         base: Option<u16>,
         node: Option<NodeId>,
     ) -> Result<(), Abort> {
         match sub_index {
-            1 => self.cob_id.set(value & !NO_REMOTE_FRAME, base, node)?,
+            1 => {
+                self.cob_id.set(value & !NO_REMOTE_FRAME, base, node)?;
+                let is_set = value & NO_REMOTE_FRAME != 0;
+                self.is_bit_30_changed = is_set != (direction == Direction::Transmit);
+            }
             2 if !is_transmission_type(value as u8) => return Err(Abort::InvalidValue),
             2 => self.transmission_type = value as u8,
             5 => self.event_timer_ms = value as u16,

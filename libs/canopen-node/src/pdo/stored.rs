@@ -7,7 +7,8 @@
 //! | RPDO | COB-ID, transmission type, the mapped objects |
 //! | TPDO | COB-ID, transmission type, inhibit time, event timer, SYNC start value, the mapped objects |
 //!
-//! Bit 31 of the COB-ID is set in a PDO that is not valid. Bits 10 to 0 are the CAN-ID, unless bit 11 is set in place of
+//! Bit 31 of the COB-ID is set in a PDO that is not valid. Bit 30 is set in one whose bit 30 a master has
+//! changed. Bits 10 to 0 are the CAN-ID, unless bit 11 is set in place of
 //! them: then the PDO has its default COB-ID, which follows the node-ID. The mapped objects are as in the mapping
 //! parameter, as many as the PDO carries. If one of them does not exist any more, has another length or cannot be
 //! mapped, the PDO is as the application declares it.

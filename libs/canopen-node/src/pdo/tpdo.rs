@@ -1,7 +1,7 @@
 //! The transmission of a TPDO: the times at which it is sent (CiA 301, 7.5.2.37).
 
 use super::Pdo;
-use crate::{Application, Frame, Instant};
+use crate::{Application, Deadline, Frame, Instant};
 
 /// The state of a TPDO in NMT operational.
 #[derive(Clone, Copy, Debug)]
@@ -16,9 +16,9 @@ pub(super) struct Transmission {
     /// The number of SYNCs since it was last sent; `None` before the SYNC with the start value.
     syncs: Option<u8>,
     /// The end of the inhibit time.
-    inhibited_until: Option<Instant>,
+    inhibited_until: Option<Deadline>,
     /// The end of the event timer.
-    event_at: Option<Instant>,
+    event_at: Option<Deadline>,
 }
 
 impl Transmission {
@@ -74,13 +74,13 @@ impl Transmission {
 
     /// Ends the inhibit time if it is over; returns whether it is.
     pub fn ends_inhibit_time(&mut self, now: Instant) -> bool {
-        self.inhibited_until.take_if(|until| until.has_come(now)).is_some()
+        self.inhibited_until.take_if(|until| until.is_over(now)).is_some()
     }
 
     /// The end of the event timer, if it is over and the TPDO may be sent.
-    pub fn is_timed_out(&self, pdo: &Pdo, now: Instant) -> Option<Instant> {
-        let is_over = |end: &Instant| !end.is_ahead(now, pdo.event_timer_micros());
-        self.event_at.filter(is_over).filter(|_| self.inhibited_until.is_none())
+    pub fn is_timed_out(&self, now: Instant) -> Option<Instant> {
+        let event_at = self.event_at.filter(|_| self.inhibited_until.is_none())?;
+        event_at.is_over(now).then_some(event_at.end())
     }
 
     /// The frame that a SYNC has asked for. Type 0 has none without a change.
@@ -106,9 +106,8 @@ impl Transmission {
         if !has_changed && !is_timed_out {
             return None;
         }
-        let after = |micros: u32| (micros > 0).then(|| now.plus_micros(micros));
-        self.inhibited_until = after(u32::from(pdo.inhibit_time) * 100);
-        self.event_at = after(pdo.event_timer_micros());
+        self.inhibited_until = Deadline::after(now, u32::from(pdo.inhibit_time) * 100);
+        self.event_at = Deadline::after(now, pdo.event_timer_micros());
         Some((self.send(pdo, data), !has_changed))
     }
 
@@ -123,12 +122,12 @@ impl Transmission {
     }
 
     /// The end of the inhibit time.
-    pub const fn inhibited_until(&self) -> Option<Instant> {
-        self.inhibited_until
+    pub fn inhibited_until(&self) -> Option<Instant> {
+        self.inhibited_until.map(Deadline::end)
     }
 
     /// The end of the event timer.
-    pub const fn event_at(&self) -> Option<Instant> {
-        self.event_at
+    pub fn event_at(&self) -> Option<Instant> {
+        self.event_at.map(Deadline::end)
     }
 }

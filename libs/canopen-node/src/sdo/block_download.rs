@@ -16,8 +16,8 @@ const LAST: u8 = 0x80;
 pub(super) struct BlockDownload {
     pub download: Download,
     crc: Option<Crc>,
-    /// What the client has yet to send of the block; `None` after the last segment of all.
-    rest: Option<Rest>,
+    /// The client has segments to send without waiting for an answer: not after the last one of all.
+    is_in_block: bool,
     /// The number of the last segment of the block in sequence.
     last: u8,
     /// The last segment in sequence. It is held back until the next one shows that all of its bytes count.
@@ -31,13 +31,13 @@ impl BlockDownload {
         let address = Address::of(download.entry);
         let answer = Message::new(0xA0 | CRC_SUPPORTED, address, size as u32);
         let crc = has_crc.then(Crc::default);
-        (Self { download, crc, rest: Some(Rest::WHOLE), last: 0, held: None }, answer)
+        (Self { download, crc, is_in_block: true, last: 0, held: None }, answer)
     }
 
-    /// The segments that the client may send without waiting for an answer. As long as there are some, every message is
-    /// a segment, whatever its first byte; only an abort is not.
-    pub const fn rest(&self) -> Option<Rest> {
-        self.rest
+    /// Whether the client may send segments without waiting for an answer. Then every message is a segment, whatever its
+    /// first byte; only an abort is not.
+    pub const fn is_in_block(&self) -> bool {
+        self.is_in_block
     }
 
     /// Handles a segment; returns the confirmation after the last one of a block.
@@ -58,14 +58,15 @@ impl BlockDownload {
             true => objects.granted(self.download.entry),
             false => BLOCK_SIZE,
         };
-        self.rest = self.rest.and_then(|rest| rest.after(command, size));
+        let is_last = ends_block(command, size);
+        self.is_in_block = !is_last;
         let is_in_sequence = number == self.last.wrapping_add(1);
         if is_in_sequence {
             self.release(0, objects, buffer)?;
             self.held = Some(data);
             self.last = number;
         }
-        if self.rest.is_some() {
+        if !is_last {
             return Ok(None);
         }
         let next = match O::PROGRAM_DOWNLOAD {
@@ -74,7 +75,7 @@ impl BlockDownload {
         };
         let answer = Message::segment(0xA2, [self.last, next, 0, 0, 0, 0, 0]);
         let is_complete = is_in_sequence && command & LAST != 0;
-        (self.rest, self.last) = ((!is_complete).then_some(Rest::WHOLE), 0);
+        (self.is_in_block, self.last) = (!is_complete, 0);
         Ok(Some(answer))
     }
 
@@ -111,31 +112,7 @@ impl BlockDownload {
     }
 }
 
-/// The segments of a block that follow the one with this number.
-///
-/// A client sends a block without waiting, so they arrive even if the transfer has ended within the block, and must not
-/// be executed as requests. CiA 301 gives them nothing that a request cannot have: only the sequence number in the first
-/// byte tells them apart. So the next number in sequence is a segment. Another first byte is a request if it begins a
-/// transfer, as a client that has ended a transfer may begin another at once, and a segment behind a lost one if it does
-/// not. One ambiguity remains: at one of 127 positions a first request looks like the next segment. We ignore it; the
-/// client will repeat it. File content that is executed does more harm.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Rest(u8);
-
-impl Rest {
-    const WHOLE: Self = Self(0);
-
-    /// Whether a message is one of the segments, if the transfer has ended.
-    pub const fn contains(self, command: u8, begins_transfer: bool) -> bool {
-        !begins_transfer || command & !LAST == self.0.wrapping_add(1)
-    }
-
-    /// The segments after the one with this first byte, if there are any in a block of this size.
-    pub const fn after(self, command: u8, size: u8) -> Option<Self> {
-        match command & !LAST {
-            0 => Some(self),
-            number if number == size || command & LAST != 0 => None,
-            number => Some(Self(number)),
-        }
-    }
+/// Whether the segment with this first byte is the last in a block of this size.
+pub(super) const fn ends_block(command: u8, size: u8) -> bool {
+    command & !LAST == size || command > LAST
 }

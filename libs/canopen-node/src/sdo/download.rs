@@ -58,6 +58,11 @@ impl Download {
         Ok(())
     }
 
+    /// The number of bytes that the announced length still lacks.
+    fn missing(&self) -> usize {
+        self.announced.map_or(usize::MAX, |announced| announced.saturating_sub(self.len) as usize)
+    }
+
     /// Writes the object; returns the confirmation, unless it follows later.
     pub fn end<O: Objects>(
         &self,
@@ -92,11 +97,15 @@ impl Download {
         if toggle != self.toggle {
             return Err(Abort::Toggle);
         }
-        let unused = usize::from(command >> 1 & 7);
+        let is_last = command & LAST != 0;
+        let unused = match usize::from(command >> 1 & 7) {
+            // The segment does not say how many bytes count (CiA 301, 7.2.4.3.4): the announced length does.
+            0 if is_last => data.len().saturating_sub(self.missing()),
+            unused => unused,
+        };
         self.add(without_last(data, unused), objects, buffer)?;
         self.toggle ^= TOGGLE;
         let answer = Message::segment(0x20 | toggle, [0; 7]);
-        let is_last = command & LAST != 0;
         let answer = if is_last { self.end(answer, objects, buffer)? } else { Some(answer) };
         Ok((answer, is_last))
     }

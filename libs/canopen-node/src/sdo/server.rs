@@ -2,14 +2,14 @@
 
 use super::{
     Abort, Address, Buffer, Content, Message, Objects,
-    block_download::{BLOCK_SIZE, BlockDownload, Rest},
+    block_download::{BLOCK_SIZE, BlockDownload, ends_block},
     block_upload::BlockUpload,
     download::Download,
     upload::TOGGLE,
     upload::Upload,
 };
 use crate::{
-    Instant,
+    Deadline, Instant,
     object_dictionary::{Access, Entry},
 };
 
@@ -17,14 +17,22 @@ use crate::{
 /// and an LSS answer waits for two frames at most.
 const SEGMENTS_PENDING: u8 = 2;
 
+/// A client sends the segments of a block without waiting. Those that arrive after the transfer has ended must not be
+/// executed as requests, and CiA 301 gives them nothing that a request cannot have. So until the last one, an abort, or
+/// this time without a message nothing is executed, however many segments are lost: the client of a request will repeat
+/// it, and file content that is executed does more harm.
+const REST_MICROS: u32 = 100_000;
+/// The first byte of an abort: only this one tells it from a segment of a block.
+const ABORT_COMMAND: u8 = ABORT << 5;
+
 /// An SDO server. It holds one request and at most one transfer, which the next initiate ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Server<B> {
     /// A received request that has not been answered.
     request: Option<Message>,
     transfer: Option<Transfer>,
-    /// The segments that may follow a block download that has ended within a block.
-    rest: Option<Rest>,
+    /// Until then segments may follow a block download that has ended within a block.
+    rest_until: Option<Deadline>,
     /// The value under way.
     buffer: B,
     /// The time of the last progress of the transfer.
@@ -55,7 +63,7 @@ impl<B: Buffer> Server<B> {
     pub const NEW: Self = Self {
         request: None,
         transfer: None,
-        rest: None,
+        rest_until: None,
         buffer: B::EMPTY,
         since: Instant::from_micros(0),
         credit: 0,
@@ -68,14 +76,13 @@ impl<B: Buffer> Server<B> {
     }
 
     /// Accepts a request, which [`poll`](Self::poll) answers if the NMT state and the bit rate allow it (`is_served`).
-    pub fn handle(&mut self, request: Message, is_served: bool) {
-        let command = request.command();
-        match self.rest.take() {
-            Some(rest) if rest.contains(command, begins_transfer(command)) => {
-                self.rest = rest.after(command, BLOCK_SIZE);
-            }
-            _ if is_served => self.request = Some(request),
-            _ => {}
+    pub fn handle(&mut self, request: Message, is_served: bool, now: Instant) {
+        if self.rest_until.take_if(|until| !until.is_over(now)).is_some() {
+            let command = request.command();
+            let is_last = command == ABORT_COMMAND || ends_block(command, BLOCK_SIZE);
+            self.rest_until = Deadline::after(now, REST_MICROS).filter(|_| !is_last);
+        } else if is_served {
+            self.request = Some(request);
         }
     }
 
@@ -92,11 +99,13 @@ impl<B: Buffer> Server<B> {
 
     /// Ends the current transfer without an answer to the client.
     pub fn end_transfer(&mut self) {
-        if let Some(Transfer::BlockDownload(transfer)) = self.transfer.take() {
-            self.rest = transfer.rest();
+        if let Some(Transfer::BlockDownload(transfer)) = self.transfer.take()
+            && transfer.is_in_block()
+        {
+            self.rest_until = Deadline::after(self.since, REST_MICROS);
             // What waits may be a segment.
             if let Some(request) = self.request.take() {
-                self.handle(request, true);
+                self.handle(request, true, self.since);
             }
         }
     }
@@ -148,6 +157,7 @@ impl<B: Buffer> Server<B> {
         }
         let answer = match request.command() >> 5 {
             ABORT => {
+                self.rest_until = None;
                 objects.forget_store();
                 Ok(None)
             }
@@ -326,10 +336,8 @@ impl<B: Buffer> Server<B> {
 
     /// Whether a request belongs to a transfer rather than begins or ends one.
     fn continues(&self, command: u8) -> bool {
-        /// Only this first byte tells an abort from a segment of a block.
-        const ABORT_COMMAND: u8 = ABORT << 5;
         match &self.transfer {
-            Some(Transfer::BlockDownload(download)) if download.rest().is_some() => {
+            Some(Transfer::BlockDownload(download)) if download.is_in_block() => {
                 command != ABORT_COMMAND
             }
             _ => match command >> 5 {
@@ -361,7 +369,7 @@ impl Transfer {
     ) -> Result<(Option<Message>, bool), Abort> {
         let (command, data) = (message.command(), message.payload());
         match (command >> 5, self) {
-            (_, Self::BlockDownload(download)) if download.rest().is_some() => {
+            (_, Self::BlockDownload(download)) if download.is_in_block() => {
                 Ok((download.handle_segment(command, data, objects, buffer)?, false))
             }
             (BLOCK_DOWNLOAD, Self::BlockDownload(download)) => {
