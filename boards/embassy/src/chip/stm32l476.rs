@@ -71,6 +71,8 @@ pub fn clear_double_error() -> bool {
 
 /// The peripherals that the node uses.
 pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region<'static, Blocking>> {
+    // embassy-stm32 0.6.0 does not reset the data cache behind an erase.
+    FLASH.acr().modify(|w| w.set_dcen(false));
     Parts {
         can: Bxcan::new(Can::new(p.CAN1, p.PB8, p.PB9, Interrupts)),
         flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region,
