@@ -51,4 +51,4 @@ const _: () =
 pub const CRYSTAL_HZ: u32 = 8_000_000;
 /// Whether the clock is external (a Nucleo's ST-LINK, an oscillator) instead of a crystal. Otherwise a start takes 100 ms
 /// longer, and the log says so.
-pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = false;
+pub const CRYSTAL_IS_EXTERNAL_CLOCK: bool = cfg!(feature = "nucleo-f446re");

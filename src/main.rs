@@ -51,7 +51,7 @@ mod app {
             &cx.core,
             CRYSTAL,
         );
-        let pins = Pins::new(chip.GPIOB, chip.GPIOD, &mut board.rcc);
+        let pins = Pins::new(chip.GPIOA, chip.GPIOB, chip.GPIOC, chip.GPIOD, &mut board.rcc);
         let device = DEVICE.with_serial_number(board::serial_number());
         let (runner, storage, watchdog) =
             board.start(device, Application::new(), chip.CAN1, pins.can);

@@ -3,7 +3,7 @@
 use canopen_stm32f4::{Indicators, Led, can::CanPins};
 use stm32f4xx_hal::{
     gpio::GpioExt,
-    pac::{self, GPIOB, GPIOD},
+    pac::{self, GPIOA, GPIOB, GPIOC, GPIOD},
     rcc::Rcc,
 };
 
@@ -20,14 +20,17 @@ pub struct Pins {
 
 impl Pins {
     /// Assigns the pins.
-    pub fn new(b: GPIOB, d: GPIOD, rcc: &mut Rcc) -> Self {
+    pub fn new(a: GPIOA, b: GPIOB, c: GPIOC, d: GPIOD, rcc: &mut Rcc) -> Self {
         let (b, d) = (b.split(rcc), d.split(rcc));
         Self {
             can: CanPins::new(b.pb9, b.pb8, rcc),
-            // Two LEDs of an STM32F407 Discovery; on a board without them the pins toggle unseen.
-            indicators: Indicators {
-                run: Led::active_high(d.pd12),
-                error: Led::active_high(d.pd14),
+            indicators: if cfg!(feature = "nucleo-f446re") {
+                Indicators { run: Led::active_high(a.split(rcc).pa5), error: Led::None }
+            } else if cfg!(feature = "stm32-h405") {
+                Indicators { run: Led::active_low(c.split(rcc).pc12), error: Led::None }
+            } else {
+                // Two LEDs of an STM32F407 Discovery; on a board without them the pins toggle unseen.
+                Indicators { run: Led::active_high(d.pd12), error: Led::active_high(d.pd14) }
             },
         }
     }

@@ -24,6 +24,7 @@ use esp_hal::{
     time::{self, Duration},
     timer::timg::{MwdtStage, TimerGroup},
 };
+use esp_println::println;
 use esp_storage::FlashStorage;
 
 use controller::Controller;
@@ -64,7 +65,7 @@ fn main() -> ! {
         mac.as_bytes().iter().fold(0, |number, byte| number << 8 | u32::from(*byte));
     let device = DEVICE.with_serial_number(serial_number);
     let mut node = Node::new(device, log.settings());
-    runner::restore(&mut node, &mut log, found);
+    println!("settings: {:?}", runner::restore(&mut node, &mut log, found));
 
     let can = Controller::new(chip.TWAI0, chip.GPIO3, chip.GPIO10);
     let mut runner = Runner::new(node, can, Chip);
@@ -97,6 +98,7 @@ impl System for Chip {
 }
 
 #[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
+fn panic(why: &PanicInfo) -> ! {
+    println!("{why}");
     software_reset()
 }

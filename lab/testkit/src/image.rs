@@ -60,8 +60,13 @@ pub fn build(part: Part) -> anyhow::Result<Image> {
 
 /// Builds the release firmware for `part` without bit-rate supervision.
 pub fn build_plain(part: Part) -> anyhow::Result<Image> {
+    build_board("plain", part)
+}
+
+/// Builds the release firmware for a board of this name, which is a feature beside that of its chip.
+pub fn build_board(name: &str, part: Part) -> anyhow::Result<Image> {
     let elf = build_with(workspace(), FIRMWARE, part, |command| {
-        command.args(["--features", "plain"]);
+        command.args(["--features", name]);
     })?;
     Ok(Image::from_elf(&elf)?)
 }

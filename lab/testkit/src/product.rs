@@ -37,6 +37,25 @@ const TEMPLATE: [&str; 11] = [
 /// The file of a product that finds this repository from every computer.
 const OF_GIT: &str = ".github/workflows/ci.yml";
 
+/// The LEDs of the boards that the firmware knows, and those of a product, which is for one board.
+const LEDS: [&str; 2] = [
+    r#"            indicators: if cfg!(feature = "nucleo-f446re") {
+                Indicators { run: Led::active_high(a.split(rcc).pa5), error: Led::None }
+            } else if cfg!(feature = "stm32-h405") {
+                Indicators { run: Led::active_low(c.split(rcc).pc12), error: Led::None }
+            } else {
+                // Two LEDs of an STM32F407 Discovery; on a board without them the pins toggle unseen.
+                Indicators { run: Led::active_high(d.pd12), error: Led::active_high(d.pd14) }
+            },
+"#,
+    "            // Two LEDs of an STM32F407 Discovery; on a board without them the pins toggle unseen.
+            indicators: Indicators {
+                run: Led::active_high(d.pd12),
+                error: Led::active_high(d.pd14),
+            },
+",
+];
+
 /// A file of the product, a text in it, and the text in its place.
 type Change<'a> = (&'a str, &'a str, &'a str);
 
@@ -223,7 +242,7 @@ impl Product<'_> {
     }
 
     /// The words of the firmware, and those of the product in their place.
-    fn exchanges(&self) -> [(&'static str, String); 8] {
+    fn exchanges(&self) -> [(&'static str, String); 13] {
         let (transmit, receive) = match self.controller {
             1 => (9, 8),
             2 => (13, 12),
@@ -239,6 +258,11 @@ impl Product<'_> {
             ("CANopen LSS slave on an STM32F4", format!("{name} on an {chip}")),
             ("\"LSS slave\"", format!("{name:?}")),
             ("!cfg!(feature = \"plain\")", "true".to_owned()),
+            ("cfg!(feature = \"nucleo-f446re\");", "false;".to_owned()),
+            (LEDS[0], LEDS[1].to_owned()),
+            ("self, GPIOA, GPIOB, GPIOC, GPIOD", "self, GPIOB, GPIOD".to_owned()),
+            ("a: GPIOA, b: GPIOB, c: GPIOC, d: GPIOD", "b: GPIOB, d: GPIOD".to_owned()),
+            ("chip.GPIOA, chip.GPIOB, chip.GPIOC, chip.GPIOD", "chip.GPIOB, chip.GPIOD".to_owned()),
         ]
     }
 

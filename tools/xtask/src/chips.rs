@@ -1,6 +1,7 @@
 //! `cargo xtask chips`: the image of every chip, built and run on its emulated board.
 
 mod choices;
+mod leds;
 
 use std::{fmt, time::Instant};
 
@@ -33,7 +34,7 @@ use testkit::{
 /// outcome of the sessions: a blank board is found by Fastscan, gets a node-ID and a bit rate, stores, switches, loses
 /// its power and boots up with what was stored; then those of `cargo verify chip-variants --quick`, and a start by a
 /// boot loader that leaves the PLL, interrupts and its vector table on. A wrong choice of
-/// chips, controller or pins must not build.
+/// chips, controller or pins must not build, and the boards of `cargo flash --board` blink.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -121,6 +122,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         println!("{target}: {error:#}");
     }
     choices::check()?;
+    leds::check()?;
     let seconds = begin.elapsed().as_secs();
     println!(
         "\n{} images, {} failures; legal pins build, wrong chips, controllers and pins do not; {seconds} s, {built} of \

@@ -1,5 +1,6 @@
 //! The commands that a product needs, and what `cargo verify` shares with them.
 
+pub mod board;
 pub mod chips;
 mod controller;
 pub mod dist;
