@@ -50,7 +50,7 @@ impl Application for Machine {
         &[Rpdo::new(&[(0x6200, 1), (0x6200, 2)]), Rpdo::UNUSED];
     const PRODUCERS: usize = 2;
 
-    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, _: u16, _: u8) -> Result<u32, Abort> {
         Ok(LOG_LEN)
     }
 

@@ -3,7 +3,7 @@
 
 use canopen_node::{
     Application, Node,
-    application::{Domain, Event, LongText},
+    application::{Dictionary, Domain, Event, LongText},
     nmt::{self, ErrorBehaviour},
     object_dictionary::DefaultValue,
     objects,
@@ -22,6 +22,7 @@ objects! {
 
     /// The bytes of the profile, which a client replaces.
     private profile: Vec<u8> = Vec::new();
+    private copy: Vec<u8> = Vec::new();
     private lost: u8 = 0;
     private back: u8 = 0;
 
@@ -38,7 +39,7 @@ objects! {
 
 impl Valve {
     fn read_profile(&self) -> &[u8] {
-        &self.profile
+        &self.copy
     }
 
     fn write_profile(&mut self, offset: usize, bytes: &[u8]) -> Result<(), Abort> {
@@ -56,6 +57,15 @@ impl Valve {
 }
 
 impl Application for Valve {
+    fn begin_domain(&mut self, _: u16, _: u8, announced: Option<u32>) -> Result<(), Abort> {
+        if announced.is_some_and(|len| len > 3_000) { Err(Abort::TooLong) } else { Ok(()) }
+    }
+
+    fn domain_len(&mut self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+        self.copy = self.profile.clone();
+        self.domain(index, sub_index).map(|content| content.len() as u32).ok_or(Abort::NoData)
+    }
+
     const PRODUCERS: usize = 2;
     const WATCHED: &'static [(u8, u16)] = &[(5, 100)];
     const ERROR_BEHAVIOUR: ErrorBehaviour = ErrorBehaviour::EnterStopped;
@@ -187,4 +197,27 @@ fn an_application_without_objects_gets_events_and_reports_errors() {
     assert_eq!(board.pass_ms(0), ["085: 00 50 01 00 00 00 00 00"]);
     board.node.end_report(0x5000);
     assert_eq!(board.pass_ms(0), ["085: 00 00 00 00 00 00 00 00"]);
+}
+
+#[test]
+fn a_domain_that_is_announced_too_long_keeps_its_content() {
+    let mut board = NodeRig::running(Valve::new());
+    assert_eq!(board.download(0x2101, 0, &[1; 200]), Ok(()));
+    let too_long = Err(0x0607_0012);
+    for _ in 0..2 {
+        assert_eq!(board.download(0x2101, 0, &[2; 3_001]), too_long);
+        assert_eq!(board.block_download(0x2101, 0, &[2; 3_001]), too_long);
+        assert_eq!(board.node.application().profile, [1; 200]);
+    }
+}
+
+#[test]
+fn a_domain_that_changes_within_an_upload_is_read_as_it_was_at_the_beginning() {
+    let mut board = NodeRig::running(Valve::new());
+    assert_eq!(board.download(0x2101, 0, &[1; 200]), Ok(()));
+    assert_eq!(board.sdo("40 01 21 00").0[0].data()[4], 200);
+    board.node.application_mut().profile = vec![2; 200];
+    for toggle in [0x60, 0x70] {
+        assert_eq!(board.sdo(&format!("{toggle:02X}")).0[0].data()[1..], [1; 7]);
+    }
 }

@@ -38,7 +38,7 @@ impl Application for Meter {
         }
     }
 
-    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, _: u16, _: u8) -> Result<u32, Abort> {
         Ok(0)
     }
 }

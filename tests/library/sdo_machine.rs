@@ -87,7 +87,7 @@ impl Application for Machine {
         }
     }
 
-    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, _: u16, _: u8) -> Result<u32, Abort> {
         if self.memory.is_empty() { Err(Abort::NoData) } else { Ok(self.memory.len() as u32) }
     }
 

@@ -72,12 +72,16 @@ impl canopen_node::Application for Application {
 
     // The only domain is the transfer test. Its content is known to both sides, so that it takes no memory.
 
-    fn domain_len(&self, _: u16, _: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, _: u16, _: u8) -> Result<u32, Abort> {
         Ok(TEST_LEN)
     }
 
     fn read_domain(&self, _: u16, _: u8, offset: u32, to: &mut [u8]) -> usize {
         to.iter_mut().zip(test_content(offset)).map(|(to, byte)| *to = byte).count()
+    }
+
+    fn begin_domain(&mut self, _: u16, _: u8, announced: Option<u32>) -> Result<(), Abort> {
+        if announced.is_some_and(|len| len > TEST_LEN) { Err(Abort::TooLong) } else { Ok(()) }
     }
 
     fn write_domain(&mut self, _: u16, _: u8, offset: u32, bytes: &[u8]) -> Result<(), Abort> {

@@ -198,12 +198,13 @@ pub trait Application: Dictionary {
         let _ = event;
     }
 
-    /// The length of a [`Domain`] in bytes, at the beginning of an upload. The domain should not change until its end:
-    /// a client that reads it by block transfer detects that by the CRC, others do not.
+    /// The length of a [`Domain`] in bytes, at the beginning of an upload. What is read must not change until its end: a
+    /// client that reads it by block transfer detects that by the CRC, others do not. A domain that may change is copied
+    /// here.
     ///
     /// # Errors
     /// The abort code for the client, such as [`Abort::NoData`].
-    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, index: u16, sub_index: u8) -> Result<u32, Abort> {
         self.domain(index, sub_index).map(|content| content.len() as u32).ok_or(Abort::NoData)
     }
 
@@ -211,6 +212,20 @@ pub trait Application: Dictionary {
     /// the domain ends.
     fn read_domain(&self, index: u16, sub_index: u8, offset: u32, to: &mut [u8]) -> usize {
         self.domain(index, sub_index).map_or(0, |content| copy(content, offset as usize, to))
+    }
+
+    /// Begins the download of a [`Domain`], before its first byte: of so many bytes, if the client `announced` that.
+    ///
+    /// # Errors
+    /// The abort code for the client, such as [`Abort::TooLong`]. No other call follows.
+    fn begin_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        announced: Option<u32>,
+    ) -> Result<(), Abort> {
+        let _ = (index, sub_index, announced);
+        Ok(())
     }
 
     /// Accepts the next part of a [`Domain`] from a client. The first part has offset 0; after the last one

@@ -218,7 +218,7 @@ impl Application for Objects {
         black_box(event);
     }
 
-    fn domain_len(&self, index: u16, sub_index: u8) -> Result<u32, Abort> {
+    fn domain_len(&mut self, index: u16, sub_index: u8) -> Result<u32, Abort> {
         black_box((index, sub_index));
         any(Ok(any_number()))
     }
@@ -227,6 +227,16 @@ impl Application for Objects {
         black_box((index, sub_index, offset));
         to.fill_with(|| any(0));
         any(0)
+    }
+
+    fn begin_domain(
+        &mut self,
+        index: u16,
+        sub_index: u8,
+        announced: Option<u32>,
+    ) -> Result<(), Abort> {
+        black_box((index, sub_index, announced));
+        any(Ok(()))
     }
 
     fn write_domain(

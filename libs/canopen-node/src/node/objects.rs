@@ -277,7 +277,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         self.storing.forget_sdo();
     }
 
-    fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort> {
+    fn len(&mut self, entry: &Entry, field: u8) -> Result<u32, Abort> {
         match entry.options.is_streamed() {
             true => self.product.application.domain_len(entry.index, entry.sub_index),
             false => Ok(self.product.application.len(field) as u32),
@@ -289,6 +289,14 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             true => self.product.application.read_domain(entry.index, entry.sub_index, offset, to),
             false => self.product.application.read(field, offset as usize, to),
         }
+    }
+
+    fn begin_domain(&mut self, entry: &Entry, announced: Option<u32>) -> Result<(), Abort> {
+        if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+            return Ok(());
+        }
+        self.effects.add(Self::VALUES);
+        self.product.application.begin_domain(entry.index, entry.sub_index, announced)
     }
 
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort> {

@@ -20,9 +20,10 @@ pub(super) struct Download {
 }
 
 impl Download {
-    pub fn begin(
+    pub fn begin<O: Objects>(
         entry: &'static Entry,
         announced: Option<u32>,
+        objects: &mut O,
         buffer: &[u8],
     ) -> Result<Self, Abort> {
         let (shortest, longest) = match (entry.options.is_streamed(), entry.data_type.size()) {
@@ -33,8 +34,12 @@ impl Download {
         match announced {
             Some(len) if len > longest => Err(Abort::TooLong),
             Some(len) if len < shortest => Err(Abort::TooShort),
-            _ => Ok(Self { entry, announced, len: 0, toggle: 0 }),
+            _ => Ok(()),
+        }?;
+        if entry.options.is_streamed() {
+            objects.begin_domain(entry, announced)?;
         }
+        Ok(Self { entry, announced, len: 0, toggle: 0 })
     }
 
     /// Accepts the next bytes.

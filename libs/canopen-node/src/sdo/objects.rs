@@ -35,9 +35,10 @@ pub(crate) trait Objects {
     fn forget_store(&mut self);
 
     /// The length of a value of the application, in bytes.
-    fn len(&self, entry: &Entry, field: u8) -> Result<u32, Abort>;
+    fn len(&mut self, entry: &Entry, field: u8) -> Result<u32, Abort>;
     /// Copies a part of a value of the application; returns the number of bytes.
     fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize;
+    fn begin_domain(&mut self, entry: &Entry, announced: Option<u32>) -> Result<(), Abort>;
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort>;
     fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort>;
     /// The same for a program. Returns the `confirmation`, or `None` if the application gives it later.

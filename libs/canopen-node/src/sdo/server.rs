@@ -181,7 +181,7 @@ impl<B: Buffer> Server<B> {
             (DOWNLOAD, _) => self.download(request, entry, objects),
             (BLOCK_DOWNLOAD, _) => {
                 let size = if O::PROGRAM_DOWNLOAD { objects.grant(entry) } else { BLOCK_SIZE };
-                self.block_download(request, entry, size).map(Some)
+                self.block_download(request, entry, size, objects).map(Some)
             }
             (service, _) => {
                 let value = objects.read(entry)?;
@@ -233,7 +233,7 @@ impl<B: Buffer> Server<B> {
         if is_expedited && !entry.options.is_streamed() {
             return objects.write(entry, bytes, confirmation);
         }
-        let mut download = Download::begin(entry, announced, self.buffer.as_ref())?;
+        let mut download = Download::begin(entry, announced, objects, self.buffer.as_ref())?;
         if !is_expedited {
             self.transfer = Some(Transfer::Download(download));
             return Ok(Some(confirmation));
@@ -262,17 +262,18 @@ impl<B: Buffer> Server<B> {
         Ok(answer)
     }
 
-    fn block_download(
+    fn block_download<O: Objects>(
         &mut self,
         request: Message,
         entry: &'static Entry,
         size: u8,
+        objects: &mut O,
     ) -> Result<Message, Abort> {
         const CRC_SUPPORTED: u8 = 0x04;
         const SIZE_INDICATED: u8 = 0x02;
         let command = request.command();
         let announced = (command & SIZE_INDICATED != 0).then_some(request.data);
-        let download = Download::begin(entry, announced, self.buffer.as_ref())?;
+        let download = Download::begin(entry, announced, objects, self.buffer.as_ref())?;
         let has_crc = command & CRC_SUPPORTED != 0;
         let (transfer, answer) = BlockDownload::begin(download, has_crc, size);
         self.transfer = Some(Transfer::BlockDownload(transfer));

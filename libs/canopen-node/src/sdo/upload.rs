@@ -34,7 +34,7 @@ impl Upload {
     pub fn begin<O: Objects>(
         entry: &'static Entry,
         value: Content,
-        objects: &O,
+        objects: &mut O,
         buffer: &mut [u8],
     ) -> Result<Self, Abort> {
         let source = match value {
