@@ -77,7 +77,7 @@ impl Commissioner {
             let seen = &mut self.network.seen;
             if mem::take(&mut seen.rival) {
                 (seen.press, state, until) = (false, State::Waiting, now().plus_micros(QUIET));
-            } else if seen.press || until.has_come(now()) {
+            } else if until.has_come(now()) || seen.press && state != State::Waiting {
                 return;
             } else if mem::take(&mut seen.boot_up) && state != State::Waiting {
                 until = until.earlier(now().plus_micros(SETTLE));

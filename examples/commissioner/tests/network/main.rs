@@ -5,14 +5,16 @@ mod rig;
 
 use std::fmt::Debug;
 
+use canopen_node::{NodeId, Settings};
 use emulator::Time;
-use rig::{Rig, State, address, blank, blanks, table, with_node_id};
+use rig::{RATE, Rig, State, address, blank, blanks, table, with_node_id};
 use testkit::{
     image::Firmware,
     image_rig::{BOOT, blank_board},
+    node_rig::NodeRig,
     parallel,
     random::{Random, every},
-    slave_bus::{Habits, Happening},
+    slave_bus::{Defect, Habits, Happening},
 };
 
 /// Three boards of product 1 in the table, with the node-IDs 1 to 3.
@@ -21,7 +23,7 @@ fn three() -> Rig {
 }
 
 /// The same, with other boards that have no power yet.
-fn with_others<const N: usize>(others: [testkit::node_rig::NodeRig; N]) -> Rig {
+fn with_others<const N: usize>(others: [NodeRig; N]) -> Rig {
     let mut rig = Rig::with_table(table(&[1, 2, 3]), blanks(1..=3).into_iter().chain(others));
     (3..3 + N).for_each(|slave| rig.slaves.happen(slave, Happening::PowerOff));
     assert_eq!(rig.settle(), State::Complete);
@@ -84,6 +86,7 @@ fn nothing_is_given_and_nothing_stored_without_the_button() {
     assert_eq!(rig.restart(), State::New);
     rig.run_for(Time::from_s(30));
     assert_eq!(rig.node_ids(), [None; 2]);
+    assert_eq!(rig.take_requests().last(), Some(&0x04), "none is left in configuration state");
     assert_eq!(rig.network.board(0).flash(), flash);
     assert!(rig.nothing_is_stored());
 }
@@ -94,15 +97,15 @@ fn a_press_takes_one_board_also_if_it_bounces_or_comes_while_it_asks() {
     rig.settle();
     assert_eq!(rig.press(), State::New);
     assert_eq!(rig.node_ids().iter().flatten().collect::<Vec<_>>(), [&1]);
-    for level in [true, false, true, false, true] {
-        rig.push(level);
-        rig.run_for(Time::from_ms(3));
-    }
+    let bounce = |rig: &mut Rig, last: bool| {
+        for level in [!last, last].repeat(4) {
+            rig.push(level);
+            rig.run_for(Time::from_ms(7));
+        }
+    };
+    bounce(&mut rig, true);
     rig.run_for(Time::from_ms(60));
-    for level in [false, true, false, true, false] {
-        rig.push(level);
-        rig.run_for(Time::from_ms(3));
-    }
+    bounce(&mut rig, false);
     assert_eq!(rig.settle(), State::New);
     assert_eq!(rig.node_ids().iter().flatten().count(), 2);
     rig.take_requests();
@@ -143,15 +146,20 @@ fn a_board_that_could_replace_two_lost_ones_is_not_taken() {
 
 #[test]
 fn the_node_id_of_another_node_is_not_given() {
-    // It sends no heartbeat, and answers by SDO; the other has a heartbeat and no server.
+    // It sends no heartbeat, and answers by SDO.
     let silent = || with_node_id(address(2, 1), 1);
     let mut rig = Rig::new([silent(), blank(address(1, 2))]);
     assert_eq!((rig.settle(), rig.press()), (State::New, State::Complete));
     assert_eq!(rig.node_ids(), [Some(1), Some(2)]);
-
-    let mut rig = Rig::with_table(table(&[2]), [silent(), blank(address(1, 2))]);
-    assert_eq!(rig.settle(), State::Conflict);
-    assert_eq!(rig.node_ids(), [Some(1), None]);
+    // It has a heartbeat and no server.
+    let settings = Settings::new(RATE.into()).with_node_id(NodeId::new(1));
+    let heard = || NodeRig::with_heartbeat_and(settings, 1_000);
+    for (node, defect) in [(silent(), None), (heard(), Some(Defect::LosesAnswers(usize::MAX)))] {
+        let mut rig = Rig::with_table(table(&[2]), [node, blank(address(1, 2))]);
+        rig.slaves.slaves[0].defect = defect;
+        assert_eq!((rig.settle(), rig.press()), (State::Conflict, State::Conflict));
+        assert_eq!((rig.node_ids(), rig.table()), (vec![Some(1), None], table(&[2])));
+    }
 }
 
 #[test]
@@ -192,10 +200,14 @@ fn a_boot_up_makes_it_ask_within_two_seconds() {
 
 #[test]
 fn a_board_with_another_node_id_gets_that_of_the_table() {
-    let rows = table(&[1, 2]);
-    let mut rig = Rig::with_table(rows, [with_node_id(address(1, 2), 40)]);
-    assert_eq!(rig.settle(), State::Missing);
-    assert_eq!(rig.node_ids(), [Some(2)]);
+    let mut rig = Rig::with_table(table(&[1, 2]), [with_node_id(address(1, 2), 40)]);
+    assert_eq!((rig.settle(), rig.node_ids()), (State::Missing, vec![Some(2)]));
+    assert_eq!(rig.resets, 1);
+    // One that takes none is left alone.
+    let mut rig = Rig::with_table(table(&[1]), [with_node_id(address(1, 1), 40)]);
+    rig.slaves.slaves[0].defect = Some(Defect::Refuses(&[0x11]));
+    assert_eq!((rig.settle(), rig.node_ids()), (State::Conflict, vec![Some(40)]));
+    assert_eq!(rig.resets, 0);
 }
 
 #[test]
@@ -245,6 +257,18 @@ fn a_table_with_one_address_twice_is_refused() {
 }
 
 #[test]
+fn a_damaged_table_is_refused() {
+    let mut rig = three();
+    let (flash, serial_number) = (rig.network.board(0).flash(), address(1, 1).serial_number);
+    let mut words = flash.windows(4);
+    let damaged = words.position(|word| word == serial_number.to_le_bytes()).expect("it is there");
+    rig.network.power_off(0);
+    rig.network.board_mut(0).set_flash(damaged as u32, &[0; 4]);
+    rig.network.power_on(0);
+    assert_eq!((rig.settle(), rig.press()), (State::Invalid, State::Invalid));
+}
+
+#[test]
 fn foreign_slaves_are_commissioned_as_far_as_they_can() {
     // One looks for a frame every ten milliseconds and loses the others, one knows no Fastscan.
     let slaves = || {
@@ -283,6 +307,8 @@ fn it_stays_away_from_the_work_of_another_master() {
     rig.run_for(Time::from_ms(50));
     rig.push(false);
     rig.send_as_rival(rival, "04 00");
+    rig.run_for(Time::from_ms(500));
+    assert_eq!(rig.take_requests(), [0x04]);
     assert_eq!(rig.settle(), State::New);
     rig.push(true);
     rig.run_for(Time::from_ms(200));
@@ -409,7 +435,7 @@ fn a_power_cut_behind_any_frame_while_a_board_is_taken_costs_nothing() {
 fn a_power_cut_while_the_table_is_written_leaves_it_or_the_one_before() {
     let mut rig = taking();
     let start = rig.network.now();
-    while rig.table() == table(&[1]) {
+    while rig.table() != table(&[1, 2]) {
         rig.run_for(Time::from_us(100));
     }
     let end = (rig.network.now() - start).as_us();

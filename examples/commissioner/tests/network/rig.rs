@@ -5,6 +5,7 @@ use std::{array, mem, sync::LazyLock};
 use canopen_node::{
     BitRate, Device, NodeId, Settings, lss,
     lss::Address,
+    nmt,
     settings::{
         Log,
         parameters::{Packer, Parameter},
@@ -65,6 +66,8 @@ pub struct Rig {
     is_open: bool,
     /// The LSS requests on the bus, with their times.
     pub requests: Vec<(Time, [u8; 8])>,
+    /// The number of NMT commands.
+    pub resets: usize,
     /// The number of frames on the bus.
     pub frames: usize,
     /// The power cut to come: the number of frames after which it begins, the slave or else the commissioner, and its span.
@@ -148,8 +151,8 @@ impl Rig {
         let gateway = network.add_adapter(Adapter::new(bit_per_s(RATE)));
         let mut slaves = SlaveBus::new(slaves, Random::from_seed(1));
         slaves.open(RATE, true);
-        let (requests, frames, cut, power_on_at) = (Vec::new(), 0, None, None);
-        Self { network, slaves, gateway, is_open: true, requests, frames, cut, power_on_at }
+        let (requests, resets, frames, cut, power_on_at) = (Vec::new(), 0, 0, None, None);
+        Self { network, slaves, gateway, is_open: true, requests, resets, frames, cut, power_on_at }
     }
 
     /// Lets time pass.
@@ -174,6 +177,7 @@ impl Rig {
         let span = next.saturating_sub(self.network.now());
         if let Some((_, frame)) = self.network.run_until_received(self.gateway, span) {
             let frame = from_the_wire(&frame).expect("a frame of CANopen");
+            self.resets += usize::from(frame.cob_id() == nmt::COMMAND_COB_ID);
             if frame.cob_id() == lss::REQUEST_COB_ID {
                 let request = frame.data().try_into().expect("eight bytes");
                 self.requests.push((self.network.now(), request));
