@@ -1,7 +1,6 @@
 //! Builds the release images of the workspace and of products. Where this fails, `cargo` has said why.
 
 use std::{
-    env,
     fs::{self, File},
     io,
     path::Path,
@@ -100,6 +99,8 @@ pub(crate) fn build_release(
     cargo_home: Option<&Path>,
     part: Part,
 ) -> anyhow::Result<Vec<u8>> {
+    use std::env;
+
     let usual_home = || match env::var_os("CARGO_HOME") {
         Some(home) => Some(home.into()),
         None => env::home_dir().map(|home| home.join(".cargo")),
