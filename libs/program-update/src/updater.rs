@@ -9,7 +9,7 @@ use crate::{
     Abort, Area, Flash, FlashError, Header, Object, ROW, State, Status, Verify,
     download::{Download, Phase, Proof},
     header::{Expected, Field, HEADER_LEN},
-    journal::{Journal, PAIRS, VOID, Word},
+    journal::{Journal, PAIRS, Word},
     start::{self, Next, Why, program_in},
 };
 use steps::{Procedure, Step};
@@ -48,7 +48,6 @@ enum Operation {
     },
     Mark {
         word: Word,
-        value: u32,
         is_needed: bool,
     },
 }
@@ -96,6 +95,8 @@ pub struct Updater<F, V, const WORDS: usize = 4096> {
     /// A clear follows the restore.
     clears_then: bool,
     cleared: Cleared,
+    /// A header has been proven, and no clear has used it.
+    has_proof: bool,
     download: Download<WORDS>,
     requested: u32,
     reset: Reset,
@@ -124,6 +125,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             run_end: None,
             clears_then: false,
             cleared: Cleared::No,
+            has_proof: false,
             download: Download::new(),
             requested: now,
             reset: Reset::No,
@@ -174,13 +176,18 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         if self.download.proof != Proof::UnderWay {
             return None;
         }
-        if is_signed {
+        let is_waiting = self.download.phase == Phase::Ended;
+        let (status, abort) = if !is_signed {
+            (Status::Refused(Field::Signature), Abort::NotStored)
+        } else if self.may_download() {
             self.download.proof = Proof::Given;
             return None;
-        }
-        let is_waiting = self.download.phase == Phase::Ended;
-        self.refuse(Status::Refused(Field::Signature));
-        is_waiting.then_some(Action::Answer(Err(Abort::NotStored)))
+        } else {
+            self.has_proof = true;
+            (Status::NotCleared, Abort::DeviceState)
+        };
+        self.refuse(status);
+        is_waiting.then_some(Action::Answer(Err(abort)))
     }
 
     /// Takes the result of [`Action::Hash`], unless the download has ended since; returns what follows.
@@ -239,16 +246,17 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     }
 
     /// The answer to a write of 1F51h sub-index 1, to be sent at once. After start and reset [`poll`](Self::poll) asks
-    /// for [`Action::Reset`], 100 ms after [`answered`](Self::answered).
+    /// for [`Action::Reset`], 100 ms after [`answered`](Self::answered), unless a stop, a clear or a download comes before.
     ///
     /// # Errors
-    /// [`Abort::DeviceState`]: start without a valid program, or confirm; [`Abort::InvalidValue`].
+    /// [`Abort::DeviceState`]: start without a valid program, confirm, or with [`Signed`](crate::Signed) a clear before
+    /// a download has brought a header with the signature; [`Abort::InvalidValue`].
     pub fn write_control(&mut self, value: u8) -> Result<(), Abort> {
         match value {
-            0 => {}
+            0 => self.reset = Reset::No,
             1 if self.run.is_none() || self.is_busy() => return Err(Abort::DeviceState),
             1 | 2 => self.reset = Reset::Asked,
-            3 => self.clear(),
+            3 => return self.clear(),
             0x80 => return Err(Abort::DeviceState),
             _ => return Err(Abort::InvalidValue),
         }
@@ -272,13 +280,14 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     ///
     /// # Errors
     /// [`Abort::NotStored`]: the header does not fit, nothing was written. [`Abort::DeviceState`]: it fits, but RUN is not
-    /// cleared: so a client can ask before.
+    /// cleared: so a client can ask before. With [`Signed`](crate::Signed) a proof decides between the two, before the
+    /// answer to the end of a download that is the header alone.
     /// [`Abort::Hardware`]: the flash failed, or there are more bytes than the header says. [`Abort::Memory`]: more than
     /// [`room`](Self::room). In each case 1F57h says why, and the download has ended.
     pub fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
         if offset == 0 {
             self.abort();
-            self.status = Status::Ok;
+            (self.status, self.reset) = (Status::Ok, Reset::No);
             self.download.begin(Phase::Receiving);
         }
         if self.download.phase != Phase::Receiving || offset != self.download.received() {
@@ -303,8 +312,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             })?);
             if V::IS_SIGNED {
                 self.download.proof = Proof::Wanted;
-            }
-            if !matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
+            } else if !self.may_download() {
                 self.refuse(Status::NotCleared);
                 return Err(Abort::DeviceState);
             }
@@ -327,7 +335,10 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             return Err(if self.is_unsigned() { Abort::NotStored } else { Abort::DeviceState });
         }
         let is_complete = self.download.header.is_some() && len == self.download.expected_len();
-        if !is_complete || len != self.download.received() {
+        // Without a clear, the proof of the header is the answer.
+        let is_in_proof = matches!(self.download.proof, Proof::Wanted | Proof::UnderWay);
+        if !(is_complete || is_in_proof && !self.may_download()) || len != self.download.received()
+        {
             self.refuse(Status::Damaged(Field::Length));
             return Err(Abort::Hardware);
         }
@@ -356,14 +367,20 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     fn accept(&mut self) -> Result<Header, Status> {
         let bytes = self.download.bytes();
         let header = Header::parse(bytes).map_err(Status::Refused)?;
-        // Once RUN is about to be cleared, BACKUP holds the program that was confirmed last, or will do so.
+        // BACKUP holds the program that was confirmed last while another one is on trial, and will do so once RUN is about
+        // to be cleared.
         let installed = match self.cleared {
-            Cleared::No => self.run.or(self.backup),
+            Cleared::No if !self.journal.is_pending() => self.run.or(self.backup),
             _ => self.backup.or(self.run),
         };
         let installed = installed.map(|header| header.release);
         header.check(&self.expected, installed)?;
         Ok(header)
+    }
+
+    /// Whether RUN is cleared, or about to be.
+    fn may_download(&self) -> bool {
+        matches!(self.cleared, Cleared::Soon | Cleared::Yes)
     }
 
     /// Ends a download. What was cleared stays so if nothing was written.
@@ -418,8 +435,8 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         {
             outcome = Err(FlashError::Failed);
         }
-        if let Operation::Mark { word, value, is_needed } = operation {
-            self.journal.note(word, if outcome.is_ok() { value } else { VOID });
+        if let Operation::Mark { word, is_needed } = operation {
+            self.journal.note(word, self.flash.read(Area::Backup, word.offset()));
             if !is_needed {
                 return Some(Ok(()));
             }

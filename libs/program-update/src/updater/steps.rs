@@ -4,11 +4,13 @@
 //! - **Save**, before an old program is erased: both SAVED void, erase BACKUP, copy RUN, compare, both SAVED.
 //! - **Clear**: erase RUN. What an update has begun needs no second copy, only both SAVED again.
 
+use core::mem;
+
 use super::{Action, Cleared, Operation, Updater};
 use crate::{
-    Area, Flash, FlashError, ROW, Status, Verify,
+    Abort, Area, Flash, FlashError, ROW, Status, Verify,
     download::Phase,
-    header::HEADER_LEN,
+    header::{Field, HEADER_LEN},
     journal::{self, Journal, KEPT, PAIRS, SAVED, SET, VOID, Word},
 };
 
@@ -68,20 +70,25 @@ pub(super) enum Step {
 
 impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     /// 1F51h = 3.
-    pub(super) fn clear(&mut self) {
+    pub(super) fn clear(&mut self) -> Result<(), Abort> {
         self.reset = super::Reset::No;
         self.abort();
         self.status = Status::Ok;
-        if matches!(self.cleared, Cleared::Soon | Cleared::Yes) {
-            return;
+        if self.may_download() {
+            return Ok(());
+        }
+        if V::IS_SIGNED && !mem::take(&mut self.has_proof) {
+            self.status = Status::Refused(Field::Signature);
+            return Err(Abort::DeviceState);
         }
         self.cleared = Cleared::Soon;
         if !matches!(self.step, Step::Idle) {
             // A restore, or the mark of a new program: it has to be undone.
             self.clears_then = true;
-            return;
+            return Ok(());
         }
         self.begin_clear();
+        Ok(())
     }
 
     fn begin_clear(&mut self) {
@@ -95,6 +102,9 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
         } else if self.run.is_some() {
             self.backup = None;
             (Procedure::Save, Step::Unsaved { second: false })
+        } else if self.backup.is_some() {
+            // Nothing else is left: no SAVED is taken back.
+            (Procedure::Clear, Step::Erase(0))
         } else {
             (Procedure::Clear, Step::Unsaved { second: false })
         };
@@ -190,7 +200,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
     ) -> Result<(), FlashError> {
         self.row[0] = value;
         self.flash.program(Area::Backup, word.offset(), &[value])?;
-        self.operation = Some(Operation::Mark { word, value, is_needed });
+        self.operation = Some(Operation::Mark { word, is_needed });
         Ok(())
     }
 

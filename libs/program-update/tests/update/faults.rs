@@ -1,16 +1,19 @@
 //! A flash that fails, forgets or is write-protected: the status that a client sees, and what runs afterwards.
 
 use program_update::{
-    Abort, Action, Area, FlashError, Object, journal,
+    Abort, Action, Area, Flash, FlashError, Object, journal,
     start::{Cause, Start, Why, decide},
 };
 
 use crate::{
-    device::{Device, Runs},
+    device::{Device, Loader, Runs},
     flash::{Chip, Operation},
     objects::{SECOND, run, stopped, values},
     program::file,
 };
+
+/// Their offsets in BACKUP.
+const SAVED: [u32; 2] = [0x1C0, 0x1C4];
 
 #[test]
 fn a_program_with_a_wrong_bit_is_not_started_but_the_one_before() {
@@ -51,7 +54,7 @@ fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
             {
                 let mut state = device.chip.0.borrow_mut();
                 match (how, fails) {
-                    (Some(how), _) => state.fault = Some((fails, how)),
+                    (Some(how), _) => state.faults = vec![(fails, how)],
                     (None, Operation::Program(area, offset)) => state.stuck = vec![(area, offset)],
                     (None, Operation::Erase(_)) => continue,
                 }
@@ -72,7 +75,7 @@ fn each_operation_that_fails_has_a_status_and_leaves_a_program() {
             }
             {
                 let mut state = device.chip.0.borrow_mut();
-                (state.fault, state.stuck) = (None, Vec::new());
+                (state.faults, state.stuck) = (Vec::new(), Vec::new());
             }
             if outcome.is_err() {
                 assert_eq!(device.alone().expect("power"), 0, "{fails:?} {how:?}");
@@ -120,12 +123,54 @@ fn a_restore_whose_mark_cannot_be_set_again_starts_the_program_at_once() {
     let Runs::Program(false) = device.start().expect("power") else { panic!("not started") };
 }
 
+/// RUN is cleared, and BACKUP holds the only program.
+fn with_one_copy() -> (Device, Box<Loader>) {
+    let (mut device, mut loader) = stopped();
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    let first = device.files[1][..520].to_vec();
+    loader.write(0, &first).expect("room");
+    run(&mut device, &mut loader);
+    loader.abort();
+    (device, loader.into())
+}
+
+#[test]
+fn two_marks_that_fail_but_read_as_set_do_not_cost_the_only_program() {
+    let (mut device, mut loader) = with_one_copy();
+    let again = |offset| (Operation::Program(Area::Backup, offset), FlashError::Failed);
+    device.chip.0.borrow_mut().faults = SAVED.map(again).to_vec();
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    device.chip.0.borrow_mut().faults.clear();
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    assert_eq!(device.alone().expect("power"), 0);
+}
+
+#[test]
+fn a_mark_that_does_not_read_as_set_is_not_taken_back_while_backup_is_all_there_is() {
+    let (mut device, _) = with_one_copy();
+    let mut backup = device.files[0].clone();
+    let weak = journal::SET | 1 << 8;
+    for offset in SAVED {
+        backup[offset as usize..][..4].copy_from_slice(&weak.to_le_bytes());
+    }
+    device.chip.put(Area::Backup, &backup);
+    let Runs::Loader(mut loader) = device.start().expect("power") else { panic!("started") };
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    assert_eq!(loader.read(Object::FlashStatus), 0);
+    assert_eq!(SAVED.map(|offset| device.chip.read(Area::Backup, offset)), [weak; 2]);
+    assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()), "it can be updated");
+}
+
 #[test]
 fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
     let (mut device, mut loader) = stopped();
     device.update(&mut loader, 1).expect("power").expect("it is right");
     let erase = Operation::Erase(Area::Run);
-    device.chip.0.borrow_mut().fault = Some((erase, FlashError::Protected));
+    device.chip.0.borrow_mut().faults = vec![(erase, FlashError::Protected)];
     for _ in 0..3 {
         device.start().expect("power");
     }
@@ -136,7 +181,7 @@ fn a_restore_that_the_flash_refuses_leaves_the_loader_on_the_bus() {
         device.now = device.now.wrapping_add(60 * SECOND);
         assert_eq!(loader.poll(device.now), Some(Action::Reset), "it tries again");
     }
-    device.chip.0.borrow_mut().fault = None;
+    device.chip.0.borrow_mut().faults.clear();
     assert_eq!(device.alone().expect("power"), 0);
 }
 

@@ -34,8 +34,8 @@ pub struct State {
     busy: u32,
     /// The polls that an operation takes.
     pub slow: u32,
-    /// An operation that fails, with how.
-    pub fault: Option<(Operation, FlashError)>,
+    /// The operations that fail, with how.
+    pub faults: Vec<(Operation, FlashError)>,
     /// Words that are programmed, but take no bits.
     pub stuck: Vec<(Area, u32)>,
     /// An operation that spoils a word, which is not its own.
@@ -62,7 +62,7 @@ impl Chip {
             operations: Vec::new(),
             busy: 0,
             slow: 0,
-            fault: None,
+            faults: Vec::new(),
             stuck: Vec::new(),
             spoils: None,
             outcome: Ok(()),
@@ -143,9 +143,8 @@ impl State {
             self.area(area)[offset as usize / 4].reads = 0;
         }
         self.outcome = Ok(());
-        if let Some((fails, how)) = self.fault
-            && fails == operation
-        {
+        let fault = self.faults.iter().find(|(fails, _)| *fails == operation);
+        if let Some((_, how)) = fault.copied() {
             self.outcome = Err(how);
             if how != FlashError::Failed {
                 self.busy = 0;

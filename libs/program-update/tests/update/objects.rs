@@ -114,6 +114,24 @@ fn start_and_reset_follow_100_ms_after_the_answer_was_acknowledged() {
 }
 
 #[test]
+fn a_stop_or_a_download_within_the_100_ms_cancels_start_and_reset() {
+    for value in [1, 2] {
+        let cancels: [fn(&mut Loader); 2] = [
+            |loader| assert_eq!(loader.write_control(0), Ok(())),
+            |loader| assert_eq!(loader.write(0, &file(1, 20)[..7]), Ok(())),
+        ];
+        for cancel in cancels {
+            let (_, mut loader) = stopped();
+            assert_eq!(loader.write_control(value), Ok(()));
+            loader.answered(SECOND);
+            cancel(&mut loader);
+            loader.answered(SECOND + 50_000);
+            assert_eq!(loader.poll(2 * SECOND), None);
+        }
+    }
+}
+
+#[test]
 fn a_reset_waits_for_the_end_of_an_operation_of_the_flash() {
     let (device, mut loader) = stopped();
     device.chip.0.borrow_mut().slow = 10;

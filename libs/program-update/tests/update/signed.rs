@@ -33,10 +33,18 @@ fn signed_by(key: &SigningKey, change: impl FnOnce(&mut Header)) -> Vec<u8> {
     file
 }
 
-/// A loader with program 0, cleared.
-fn cleared() -> (Chip, Loader) {
+/// A loader with program 0.
+fn stopped() -> (Chip, Loader) {
     let chip = Device::new(Chip::with(&file(0, 20), 0), Vec::new()).chip;
-    let mut loader = Loader::new(chip.clone(), Signed, expected(768), Why::Stop, 0);
+    let loader = Loader::new(chip.clone(), Signed, expected(768), Why::Stop, 0);
+    (chip, loader)
+}
+
+/// The same, cleared.
+fn cleared() -> (Chip, Loader) {
+    let (mut chip, mut loader) = stopped();
+    let header = &signed_by(&key(), |_| ())[..512];
+    assert_eq!(download(&mut chip, &mut loader, header, true), Err(Abort::DeviceState));
     assert_eq!(loader.write_control(3), Ok(()));
     while loader.is_busy() {
         assert_eq!(loader.poll(0), None);
@@ -107,6 +115,38 @@ fn only_a_program_with_the_signature_of_the_key_and_its_hash_is_installed() {
             let is_written = chip.operations() > before;
             assert_eq!(is_written, outcome != Err(Abort::NotStored), "late: {is_late}");
         }
+    }
+}
+
+#[test]
+fn nothing_is_erased_before_a_header_has_the_signature_and_each_clear_wants_one() {
+    let header = |key: &SigningKey| signed_by(key, |_| ())[..512].to_vec();
+    let other_key = SigningKey::from_bytes(&[8; 32]);
+    let refused = Status::Refused(Field::Signature).value(false);
+    for is_late in [false, true] {
+        let (mut chip, mut loader) = stopped();
+        for header in [None, Some(header(&other_key)), Some(file(1, 20)[..512].to_vec())] {
+            if let Some(header) = header {
+                let outcome = download(&mut chip, &mut loader, &header, is_late);
+                assert_eq!(outcome, Err(Abort::NotStored));
+                assert_eq!(loader.read(Object::FlashStatus), refused);
+            }
+            assert_eq!(loader.write_control(3), Err(Abort::DeviceState));
+            assert_eq!(loader.read(Object::FlashStatus), refused);
+            assert!(!loader.is_busy());
+        }
+        assert_eq!(chip.operations(), 0);
+        // The header alone, then the whole file: each is proven before "not cleared" is answered.
+        let whole = signed_by(&key(), |_| ());
+        for len in [512, whole.len()] {
+            let outcome = download(&mut chip, &mut loader, &whole[..len], is_late);
+            assert_eq!(outcome, Err(Abort::DeviceState));
+            assert_eq!(loader.read(Object::FlashStatus), Status::NotCleared.value(false));
+        }
+        assert_eq!(loader.write_control(3), Ok(()));
+        assert_eq!(answer(&mut chip, &mut loader, true), None);
+        assert_eq!(download(&mut chip, &mut loader, &whole, is_late), Ok(()));
+        assert_eq!(loader.write_control(3), Err(Abort::DeviceState), "the header has been used");
     }
 }
 
