@@ -30,6 +30,11 @@ for node in nodes:
     node.sdo.RESPONSE_TIMEOUT = 2
     node.nmt.send_command(0x80)
     control(node, 0)                                    # the loader answers
+    try:
+        node.sdo.download(0x1F50, 1, file[:512])        # and says whether the header fits: a signed one wants it so
+    except canopen.SdoAbortedError as error:
+        if error.code != 0x08000022:                    # it does, but nothing is cleared
+            sys.exit(f"node {node.id}: refused, byte {number(node, 0x1F57) >> 16} of the header")
 for node in nodes:
     control(node, 3)                                    # they clear at the same time
 asked = time.monotonic()

@@ -3,6 +3,7 @@
 use std::{
     env, fs,
     path::{Path, PathBuf},
+    process::Command,
 };
 
 use anyhow::{Context, bail, ensure};
@@ -91,7 +92,7 @@ fn file_in(
         vendor_id: device.address.vendor_id,
         product_code: device.address.product_code,
         revision_number: device.address.revision_number,
-        release: release(device.software_version).context("a version is three numbers")?,
+        release: Release::parse(device.software_version).context("a version is three numbers")?,
         chip: text(part.name()),
         hardware: crc::of(device.hardware_version.as_bytes()),
         address: run.address,
@@ -101,13 +102,6 @@ fn file_in(
         signature: [ERASED; 64],
     };
     Ok([&header.to_bytes()[..], &content].concat())
-}
-
-/// The release of a version such as `1.20.3`.
-fn release(version: &str) -> Option<Release> {
-    let mut numbers = version.split('.').map(|number| number.parse().ok());
-    let mut next = || numbers.next().flatten();
-    Release::new(next()?, next()?, next()?)
 }
 
 /// A loader in the flash, around the settings: the file that is linked has it in the RAM (`boards/stm32f4/loader.x`).
@@ -170,7 +164,8 @@ pub fn files(
 }
 
 /// `cargo update-file [--key PEM] [FOLDER]` of the product in a folder, whose package has this name: builds loader and
-/// program, and writes the files. `loader_key` is the key of a loader that takes only signed programs.
+/// program, and writes the files. `loader_key` is the key of a loader that takes only signed programs; one of zeros is
+/// exchanged for that of the PEM.
 pub fn run(
     product: &Path,
     name: &str,
@@ -188,7 +183,7 @@ pub fn run(
             folder = argument.into();
         }
     }
-    check_key(key.as_ref(), loader_key)?;
+    check_key(product, key.as_ref(), loader_key)?;
     let loader = image::build_loader(product, name, part, |_| ())?;
     let program = image::build_with(product, name, part, |_| ())?;
     let images = [in_flash(&Image::from_elf(&loader)?)?, Image::from_elf(&program)?];
@@ -201,6 +196,14 @@ pub fn run(
     Ok(())
 }
 
+/// `key.rs` of the template with a key.
+pub(crate) fn with_key(template: &str, key: &[u8; 32]) -> String {
+    template.replace("= [0; 32]", &format!("= {key:?}"))
+}
+
+/// The key in the template.
+const NO_KEY: &[u8; 32] = &[0; 32];
+
 /// The private key in a file as `openssl genpkey -algorithm ed25519` writes it.
 fn read_key(path: &Path) -> anyhow::Result<SigningKey> {
     let text =
@@ -209,14 +212,28 @@ fn read_key(path: &Path) -> anyhow::Result<SigningKey> {
         .with_context(|| format!("{} has no private key of Ed25519", path.display()))
 }
 
-/// Fails unless the loader takes what the key signs.
-fn check_key(key: Option<&SigningKey>, loader_key: Option<&[u8; 32]>) -> anyhow::Result<()> {
+/// Fails unless the loader takes what the key signs. A loader without a key gets this one.
+fn check_key(
+    product: &Path,
+    key: Option<&SigningKey>,
+    loader_key: Option<&[u8; 32]>,
+) -> anyhow::Result<()> {
     let key = key.map(|key| key.verifying_key().to_bytes());
     match (key, loader_key) {
+        (Some(key), Some(NO_KEY)) => {
+            let path = product.join("src/key.rs");
+            let text = fs::read_to_string(&path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            fs::write(&path, with_key(&text, &key))
+                .with_context(|| format!("cannot write {}", path.display()))?;
+            // A key that is written over several lines, or not, is the same.
+            let _ = Command::new("rustfmt").arg(&path).status();
+            println!("{}", path.display());
+        }
         (Some(key), Some(loader_key)) => {
             ensure!(
                 key == *loader_key,
-                "the loader has another key; for this one, write into src/key.rs\n\npub const KEY: [u8; 32] = {key:?};"
+                "the loader has another key; programs signed with this one want other boards, with\n\npub const KEY: [u8; 32] = {key:?};\n\nin src/key.rs"
             );
         }
         (None, Some(_)) => bail!("the loader takes only signed programs: give `--key PEM`"),

@@ -63,6 +63,13 @@ impl Release {
         }
         Some(Self(major << 20 | minor << 10 | patch))
     }
+
+    /// The release of a software version such as `1.20.3`; `None` of any other text.
+    pub fn parse(version: &str) -> Option<Self> {
+        let mut numbers = version.split('.').map(|number| number.parse().ok());
+        let [major, minor, patch] = [numbers.next()??, numbers.next()??, numbers.next()??];
+        numbers.next().is_none().then(|| Self::new(major, minor, patch))?
+    }
 }
 
 impl fmt::Display for Release {

@@ -85,6 +85,9 @@ pub struct Update {
     /// The boards; without any, all boards on the bus that the file is for
     #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
     pub nodes: Vec<NodeId>,
+    /// Boards with a later version get the program, too, without a question
+    #[arg(long)]
+    pub yes: bool,
     /// Print JSON, in the end
     #[arg(long)]
     pub json: bool,

@@ -1,9 +1,9 @@
 //! `lss update`: installs a program on one board after the other, each with a way back. Once it runs on one, the next
 //! boards clear ahead.
 
-use can_bus::sdo;
+use can_bus::{person, sdo};
 use canopen_node::{BitRate, NodeId};
-use program_update::header::HEADER_LEN;
+use program_update::{Release, header::HEADER_LEN};
 use serde::Serialize;
 
 use crate::{
@@ -64,7 +64,10 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
     };
     let mut boards = Vec::new();
     for row in rows {
-        let why = misfit(session, &file, &row)?;
+        let mut why = misfit(session, &file, &row)?;
+        if why.is_none() && !arguments.yes {
+            why = step_back(session, &file, &row)?;
+        }
         boards.push(Board { row, outcome: Outcome::LeftAlone, why });
     }
     session.progress.clear();
@@ -74,8 +77,7 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
     let misfits = boards.iter().filter(|board| board.why.is_some());
     let misfits: Vec<String> = misfits.map(Board::line).collect();
     if misfits.len() == boards.len() || !arguments.nodes.is_empty() && !misfits.is_empty() {
-        let words = "the file is not for this board. Nothing was changed";
-        return Err(Failure::Refused(format!("{}\n{words}", misfits.join("\n"))));
+        return Err(Failure::Refused(format!("{}\nNothing was changed", misfits.join("\n"))));
     }
     if !arguments.json {
         for line in misfits {
@@ -164,7 +166,7 @@ fn install_all(
             if was_operational && board.outcome == Outcome::Installed {
                 words += ", pre-operational since the reset";
             }
-            writeln!(session.out, "{}  {words}", board.name())?;
+            writeln!(session.out, "{}  {words}", board.row.name())?;
             session.out.flush()?;
         }
     }
@@ -287,19 +289,40 @@ fn misfit(
     Loader::new(session, id, "").misses()
 }
 
-impl Board {
+/// Why a board with a later version keeps it, unless the person wants the lower one.
+fn step_back(
+    session: &mut Session<'_>,
+    file: &UpdateFile,
+    row: &Row,
+) -> Result<Option<String>, Failure> {
+    let version = row.version.as_deref().unwrap_or_default();
+    if Release::parse(version).is_none_or(|release| release <= file.header.release) {
+        return Ok(None);
+    }
+    let question = format!(
+        "{} has the later version {version}. Does it go back to {}? [y = yes, Enter = no: it is left alone]",
+        row.name(),
+        file.header.release
+    );
+    let is_wanted = session.ask(&question)?.is_some_and(|answer| person::is_yes(&answer));
+    Ok((!is_wanted).then(|| format!("it has the later version {version}: with --yes it goes back")))
+}
+
+impl Row {
     /// Which board it is.
     fn name(&self) -> String {
-        let address = self.row.lss_address.as_ref().map_or_else(|| "-".into(), address::text);
-        format!("node {}  {address}", self.row.id_text())
+        let address = self.lss_address.as_ref().map_or_else(|| "-".into(), address::text);
+        format!("node {}  {address}", self.id_text())
     }
+}
 
+impl Board {
     /// The same, and why it was left alone or failed.
     fn line(&self) -> String {
         let why = self.why.as_deref().unwrap_or_default();
         match self.outcome {
-            Outcome::LeftAlone => format!("{}  left alone: {why}", self.name()),
-            _ => format!("{}  {why}", self.name()),
+            Outcome::LeftAlone => format!("{}  left alone: {why}", self.row.name()),
+            _ => format!("{}  {why}", self.row.name()),
         }
     }
 }

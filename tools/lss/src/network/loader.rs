@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use can_bus::sdo;
 use canopen_node::NodeId;
-use program_update::State;
+use program_update::{State, header::HEADER_LEN};
 
 use super::nodes;
 use crate::{failure::Failure, session::Session};
@@ -145,9 +145,13 @@ impl<'s, 'a> Loader<'s, 'a> {
         Ok(true)
     }
 
-    /// Erases the program, and downloads another one: by blocks, and if that fails, by segments.
+    /// Erases the program, and downloads another one whose header is checked: by blocks, and if that fails, by segments.
     pub fn install(&mut self, file: &[u8]) -> Result<(), Failure> {
         for by_blocks in [true, false] {
+            if !by_blocks {
+                // A loader of signed programs clears once for a header.
+                self.check(&file[..HEADER_LEN])?;
+            }
             self.say("clearing");
             self.clear()?;
             let outcome = self.download(file, by_blocks);

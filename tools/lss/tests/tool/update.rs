@@ -5,6 +5,7 @@ mod fleet;
 mod interrupted;
 mod program;
 
+use can_bus::person::Person;
 use canopen_node::{BitRate, Frame};
 use program_update::{FlashError, Header, Release, header::text};
 use serde_json::Value;
@@ -26,7 +27,7 @@ fn a_board_gets_a_program_which_is_confirmed() {
     assert_eq!((outcome.code, &*outcome.error), (0, ""));
     assert_eq!(
         outcome.text,
-        "version 1.1 (1.2.0) for product 11223344:55667788 on stm32f405, 2 KB\n\
+        "version 1.1 (1.2.3) for product 11223344:55667788 on stm32f405, 2 KB\n\
          node 5  11223344:55667788:00010203:00000001  1.2.3 -> 1.1, confirmed\n"
     );
     assert_eq!(fleet.kept(), [Some(crc_of(&new()))]);
@@ -131,7 +132,7 @@ fn a_file_for_another_board_is_refused_before_anything_is_erased() {
     refused(&with(|header| header.hardware += 1), "it is for another hardware version");
     refused(&with(|header| header.chip = text("stm32f446")), "it is for another chip");
     refused(&with(|header| header.controller = 2), "it is for another CAN controller");
-    refused(&with(|header| header.release = Release(1)), "its release is lower");
+    refused(&with(|header| header.release = Release(1)), "it has the later version 1.2.3");
     refused(&file_with("1.1", Kind::Good, 0x4000, |_| ()), "the program is too long");
     let mut elsewhere = new()[512..].to_vec();
     elsewhere[4..8].copy_from_slice(&(RUN + 0x1_0211).to_le_bytes());
@@ -158,6 +159,42 @@ fn a_file_that_one_board_refuses_stops_the_program_of_no_other() {
     let json: Value = serde_json::from_str(&outcome.text).expect("JSON");
     let outcomes = [0, 1, 2].map(|board| json["boards"][board]["outcome"].clone());
     assert_eq!(outcomes, ["refused", "left-alone", "left-alone"]);
+}
+
+#[test]
+fn a_board_goes_back_to_a_lower_release_only_if_the_person_wants_it_and_its_loader_takes_it() {
+    let fleet = |may_go_back| {
+        let fleet = Fleet::of(&[
+            (5, device(ADDRESS)),
+            (6, device(ADDRESS).with_versions("A", "1.2.2")),
+            (7, device(ADDRESS).with_versions("A", "some text")),
+        ]);
+        (0..3).for_each(|board| fleet.board(board).allows_downgrade = may_go_back);
+        fleet
+    };
+    let lower = |header: &mut Header| header.release = Release::parse("1.2.2").expect("a release");
+    let path = write("lower", &file_with("1.1", Kind::Good, 2000, lower));
+    let new = Some(crc_of(&std::fs::read(&path).expect("it was written")));
+    let old = Some(crc_of(&old()));
+    for (answers, rest, kept) in [
+        (None, "", [old, new, new]),
+        (Some("n"), "", [old, new, new]),
+        (Some("y"), "", [new; 3]),
+        (None, "--yes", [new; 3]),
+    ] {
+        let fleet = fleet(true);
+        let person = answers.map_or_else(Person::absent, |answer| Person::who_says(&[answer]));
+        let outcome =
+            fleet.lss_with(person, &format!("--bit-rate 1000 update {} {rest}", path.display()));
+        assert_eq!((outcome.code, &*outcome.error), (0, ""), "{answers:?} {rest}");
+        assert_eq!(fleet.kept(), kept, "{answers:?} {rest}");
+        let words = "left alone: it has the later version 1.2.3: with --yes it goes back";
+        assert_eq!(outcome.text.contains(words), kept[0] == old, "{}", outcome.text);
+    }
+    let fleet = fleet(false);
+    let outcome = fleet.lss(&format!("--bit-rate 1000 update {} 5 --yes", path.display()));
+    assert!(outcome.error.contains("its release is lower"), "{}", outcome.error);
+    assert_eq!(fleet.kept(), [old; 3]);
 }
 
 #[test]

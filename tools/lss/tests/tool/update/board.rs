@@ -28,7 +28,7 @@ const WATCHDOG: u64 = 1_400_000;
 const STEPS: usize = 10_000;
 
 /// What the loader of these boards takes.
-fn expected() -> Expected {
+fn expected(allows_downgrade: bool) -> Expected {
     Expected {
         vendor_id: ADDRESS.vendor_id,
         product_code: ADDRESS.product_code,
@@ -38,7 +38,7 @@ fn expected() -> Expected {
         address: RUN,
         capacity: SECTORS.iter().sum::<u32>() - HEADER_LEN as u32,
         ram: 0x2000_0000..0x2002_0000,
-        allows_downgrade: false,
+        allows_downgrade,
     }
 }
 
@@ -58,6 +58,7 @@ pub enum Deed {
 /// The board beside its node.
 pub struct State {
     pub chip: Rc<RefCell<Chip>>,
+    pub allows_downgrade: bool,
     side: Side,
     mailbox: Option<Mailbox>,
     now: u64,
@@ -80,6 +81,7 @@ impl Board {
     pub fn new(file: &[u8]) -> Self {
         let mut state = State {
             chip: Rc::new(RefCell::new(Chip::new(file))),
+            allows_downgrade: false,
             side: Side::Off,
             mailbox: None,
             now: 0,
@@ -119,9 +121,13 @@ impl State {
                 let program = Program::new(&mut flash, self.mailbox, Confirm::ByMaster, now);
                 Side::Program(program)
             }
-            Start::Loader(why) => {
-                Side::Loader(Box::new(Updater::new(flash, Unsigned, expected(), why, now)))
-            }
+            Start::Loader(why) => Side::Loader(Box::new(Updater::new(
+                flash,
+                Unsigned,
+                expected(self.allows_downgrade),
+                why,
+                now,
+            ))),
         };
     }
 

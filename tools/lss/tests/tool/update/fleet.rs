@@ -14,9 +14,11 @@ use std::{
 
 use can_bus::{
     adapter::{Adapter, Mode, Received, Status},
+    person::Person,
     stop::Stop,
 };
 use canopen_node::{Action, BitRate, Device, Frame};
+use lss::Session;
 use program_update::{FlashError, start::Cause};
 use testkit::{
     cargo,
@@ -147,8 +149,14 @@ impl Fleet {
     }
 
     pub fn lss(&self, arguments: &str) -> Outcome {
+        self.lss_with(Person::absent(), arguments)
+    }
+
+    /// Runs `lss` while a person answers.
+    pub fn lss_with(&self, person: Person, arguments: &str) -> Outcome {
         self.record.borrow_mut().sent.clear();
-        run(Box::new(self.clone()), &self.is_interrupted, arguments, |_| ())
+        let prepare = |session: &mut Session<'_>| session.person = person;
+        run(Box::new(self.clone()), &self.is_interrupted, arguments, prepare)
     }
 
     /// The frames that the last command has sent.

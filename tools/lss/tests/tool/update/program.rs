@@ -37,7 +37,7 @@ pub fn file_of(program: &[u8], version: &str, change: impl FnOnce(&mut Header)) 
         vendor_id: ADDRESS.vendor_id,
         product_code: ADDRESS.product_code,
         revision_number: ADDRESS.revision_number,
-        release: Release::new(1, 2, 0).expect("a release"),
+        release: Release::new(1, 2, 3).expect("a release"),
         chip: text("stm32f405"),
         hardware: crc::of(b"A"),
         address: RUN,
