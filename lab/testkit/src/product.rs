@@ -122,7 +122,7 @@ pub fn build_signed(
     key: &[u8; 32],
 ) -> anyhow::Result<[Image; 2]> {
     let folder = write_with_update(name, chip, controller, true, |path, content| match path {
-        path if path == update::KEY.1 => content.replace("[0; 32]", &format!("{key:?}")),
+        path if path == update::KEY.1 => crate::update::with_key(&content, key),
         _ => content,
     })?;
     Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])

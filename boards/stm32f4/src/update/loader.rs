@@ -173,6 +173,28 @@ impl Loader {
     }
 }
 
+/// Whose programs the loader takes.
+#[cfg(feature = "signed")]
+pub struct Author {
+    key: PublicKey,
+    allows_downgrade: bool,
+}
+
+#[cfg(feature = "signed")]
+impl Author {
+    /// The owner of a key. `allows_downgrade`: also programs with a lower release than the installed one. A release does
+    /// not build with a key of zeros, which is that of the template.
+    pub const fn new(key: PublicKey, allows_downgrade: bool) -> Self {
+        let (mut is_key, mut i) = (cfg!(debug_assertions), 0);
+        while i < key.len() {
+            is_key |= key[i] != 0;
+            i += 1;
+        }
+        assert!(is_key, "src/key.rs has no key: `cargo update-file --key PEM` writes it");
+        Self { key, allows_downgrade }
+    }
+}
+
 /// What the idle task does.
 pub struct Work {
     has_reported: bool,
@@ -194,12 +216,16 @@ impl Board {
         why: Why,
         can: C,
         pins: CanPins<C>,
-        #[cfg(feature = "signed")] key: &'static PublicKey,
+        #[cfg(feature = "signed")] author: &'static Author,
     ) -> (Runner<C>, Work, Watchdog) {
         // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
         let flash = unsafe { FLASH::steal() };
         flash.acr().modify(|_, w| w.icen().clear_bit().dcen().clear_bit());
         enable_flash_interrupt();
+        #[cfg(feature = "signed")]
+        let allows_downgrade = author.allows_downgrade;
+        #[cfg(not(feature = "signed"))]
+        let allows_downgrade = true;
         let expected = Expected {
             vendor_id: device.address.vendor_id,
             product_code: device.address.product_code,
@@ -209,7 +235,7 @@ impl Board {
             address: RUN.address,
             capacity: RUN.kb * 1024 - header::HEADER_LEN as u32,
             ram: 0x2000_0000..0x2000_0000 + CHIP.ram_kb * 1024,
-            allows_downgrade: true,
+            allows_downgrade,
         };
         let updater = place.write(Updater::new(Areas::new(now), Checked, expected, why, now()));
         let mut device = device.with_rescue(false);
@@ -241,7 +267,7 @@ impl Board {
         let work = Work {
             has_reported: false,
             #[cfg(feature = "signed")]
-            key,
+            key: &author.key,
         };
         (Runner::new(node, can, self.alarm), work, self.watchdog)
     }

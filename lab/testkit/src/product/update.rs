@@ -102,12 +102,23 @@ const CHANGES_IF_SIGNED: &[Change<'_>] = &[
         "# SHA-512 in 3 KB instead of 26 KB.\nrustflags = [\"--cfg\", \"sha2_backend_soft=\\\"compact\\\"\"]\nrunner = \"probe-rs",
     ),
     ("src/loader.rs", "mod pins;", "mod key;\nmod pins;"),
+    ("src/loader.rs", "loader::{self, Place", "loader::{self, Author, Place"),
     (
         "src/loader.rs",
-        "            board.start_loader(device, cx.local.place, why, chip.CAN1, pins.can);",
-        "            board.start_loader(device, cx.local.place, why, chip.CAN1, pins.can, &crate::key::KEY);",
+        "    use crate::pins::{Can, Pins};\n",
+        "    use crate::{\n        key::{DOWNGRADE, KEY},\n        pins::{Can, Pins},\n    };\n",
     ),
-    (UPDATE_FILE, "fn main()", "#[path = \"../src/key.rs\"]\nmod key;\n\nfn main()"),
+    (
+        "src/loader.rs",
+        "    #[shared]\n",
+        "    const AUTHOR: Author = Author::new(KEY, DOWNGRADE);\n\n    #[shared]\n",
+    ),
+    ("src/loader.rs", "chip.CAN1, pins.can)", "chip.CAN1, pins.can, &AUTHOR)"),
+    (
+        UPDATE_FILE,
+        "fn main()",
+        "#[allow(dead_code, reason = \"the loader has the rest\")]\n#[path = \"../src/key.rs\"]\nmod key;\n\nfn main()",
+    ),
     (UPDATE_FILE, "let loader_key = None;", "let loader_key = Some(&key::KEY);"),
 ];
 
