@@ -112,3 +112,12 @@ fn on_a_full_bus_a_busy_loader_answers_lss_in_10_us_and_loses_no_frame() {
     assert_eq!(rig.0.network.board(0).flash_stalls(), stalls);
     assert_eq!(rig.0.network.board(0).misuse(), None);
 }
+
+#[test]
+fn a_store_while_the_loader_is_busy_is_answered_as_failed() {
+    let mut rig = stopped();
+    assert!(rig.try_control(3).unwrap());
+    rig.0.ask("04 01, 17", "17 02");
+    rig.0.transmit_request("04 00");
+    assert_eq!(rig.number(0x1F57, 1) & 1, 1, "it was not busy");
+}

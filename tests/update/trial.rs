@@ -5,8 +5,10 @@ use canopen_node::BitRate;
 use emulator::{
     Time,
     board::{self, Board},
+    chip::{FLASH_BASE, ResetCause},
     image::Image,
 };
+use program_update::header::HEADER_LEN;
 use testkit::{
     boards,
     image_rig::{ImageRig, SETTINGS_OFFSET},
@@ -16,7 +18,7 @@ use testkit::{
 
 use super::{
     bad_programs::{UNDEFINED, with_first_instruction},
-    rig::{IMAGES, NODE, PART, RATE, Rig, file, file_of, program, stored},
+    rig::{IMAGES, NODE, PART, RATE, RUN, Rig, file, file_of, program, stored},
 };
 
 /// The states in 2001h.
@@ -126,4 +128,39 @@ fn node_id_bit_rate_and_heartbeat_in_force_are_handed_over_both_ways() {
     rig.0.set_master_bit_rate(RATE);
     rig.0.power_cycle(0);
     rig.0.expect("705: 00", Time::from_ms(100));
+}
+
+#[test]
+fn what_was_in_force_is_taken_once() {
+    let mut rig = on_trial();
+    assert_eq!(rig.control(0x80), Ok(()));
+    rig.0.ask("04 01, 11 09, 17", "11 00, 17 00");
+    rig.0.transmit_request("04 00");
+    rig.0.network.allow_reset(0, ResetCause::Pin);
+    rig.0.network.board_mut(0).reset(ResetCause::Pin);
+    rig.0.expect("709: 00", Time::from_ms(100));
+}
+
+#[test]
+fn a_program_with_a_task_that_hangs_does_not_confirm_itself() {
+    const CAN1_SCE: u32 = 16 + 22;
+    const RETURN: [u8; 2] = [0x70, 0x47];
+    let mut rig = on_trial();
+    let handler = {
+        let flash = rig.0.network.board(0).flash();
+        let vector = RUN + HEADER_LEN as u32 + 4 * CAN1_SCE - FLASH_BASE;
+        let bytes = flash[vector as usize..].first_chunk().expect("a vector");
+        (u32::from_le_bytes(*bytes) & !1) - FLASH_BASE
+    };
+    let code =
+        *rig.0.network.board(0).flash()[handler as usize..].first_chunk::<2>().expect("code");
+    // An answer begins the 10 s, in whose last second the task hangs.
+    assert_eq!(rig.number(0x2001, 1), TRIAL);
+    rig.0.network.run_for(Time::from_ms(9_200));
+    rig.0.network.board_mut(0).set_flash(handler, &RETURN);
+    rig.0.network.run_for(Time::from_ms(1_400));
+    rig.0.network.board_mut(0).set_flash(handler, &code);
+    assert_eq!(rig.number(0x2001, 1), TRIAL);
+    rig.0.network.run_for(Time::from_ms(10_500));
+    assert_eq!(rig.number(0x2001, 1), KEPT, "it runs again");
 }

@@ -123,6 +123,19 @@ fn a_restore_whose_mark_cannot_be_set_again_starts_the_program_at_once() {
     let Runs::Program(false) = device.start().expect("power") else { panic!("not started") };
 }
 
+#[test]
+fn a_clear_that_the_flash_ends_is_none() {
+    let (mut device, mut loader) = stopped();
+    let erase = (Operation::Erase(Area::Run), FlashError::Failed);
+    device.chip.0.borrow_mut().faults = vec![erase];
+    loader.write_control(3).expect("it clears");
+    run(&mut device, &mut loader);
+    let file = device.files[1].clone();
+    assert_eq!(loader.write(0, &file[..512]), Err(Abort::DeviceState));
+    device.chip.0.borrow_mut().faults.clear();
+    assert_eq!(device.update(&mut loader, 1).expect("power"), Ok(()));
+}
+
 /// RUN is cleared, and BACKUP holds the only program.
 fn with_one_copy() -> (Device, Box<Loader>) {
     let (mut device, mut loader) = stopped();

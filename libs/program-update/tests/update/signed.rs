@@ -167,3 +167,31 @@ fn a_signature_does_not_count_for_the_download_after_it() {
     assert_eq!(loader.verified(false), None);
     assert_eq!(loader.write(33 * 16, &[0; 16]), Err(Abort::NotStored));
 }
+
+#[test]
+fn an_abort_while_the_hash_is_calculated_leaves_the_loader_ready_for_another_clear() {
+    let (mut chip, mut loader) = cleared();
+    let file = signed_by(&key(), |_| ());
+    loader.write(0, &file[..512]).expect("room");
+    assert_eq!(answer(&mut chip, &mut loader, true), None);
+    loader.write(512, &file[512..]).expect("room");
+    loader.end(file.len() as u32).expect("it is whole");
+    let asked = (0..100).find_map(|_| loader.poll(0)).expect("an action");
+    let Action::Hash { words } = asked else { panic!("{asked:?}") };
+    loader.abort();
+    assert!(!loader.is_busy());
+    assert_eq!(loader.hashed(&hash(&mut chip, words)), None);
+    assert_eq!(loader.poll(0), None);
+    assert_eq!(loader.read(Object::FlashStatus), Status::NotCleared.value(false));
+}
+
+/// A key that is the neutral point: without further checks the signature of nobody fits each header.
+#[test]
+fn a_key_of_small_order_has_no_signature() {
+    let neutral = std::array::from_fn(|i| u8::from(i == 0));
+    let mut signature = [0; 64];
+    signature[0] = 1;
+    let bytes = signed_by(&key(), |_| ());
+    let header = Header::parse(bytes.first_chunk().expect("a header")).expect("its fields");
+    assert!(!is_signed(&Header { signature, ..header }.to_bytes(), &neutral));
+}
