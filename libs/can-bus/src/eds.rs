@@ -1,8 +1,15 @@
 //! A reader of electronic data sheets and of device configuration files (CiA 306), as tolerant as other programs' are.
 
-use std::collections::BTreeMap;
+mod file;
+
+use std::{
+    collections::{BTreeMap, BTreeSet, btree_map::Entry as Place},
+    path::Path,
+};
 
 pub use canopen_node::object_dictionary::Access;
+use file::word;
+pub use file::{Fault, Line, encode};
 
 /// Index and sub-index.
 pub type Address = (u16, u8);
@@ -13,11 +20,14 @@ pub type Section = BTreeMap<String, String>;
 /// A data sheet.
 #[derive(Clone, Debug, Default)]
 pub struct Eds {
-    /// By name in lower case.
-    sections: BTreeMap<String, Section>,
+    /// By name in lower case, with the lines of their headers.
+    sections: BTreeMap<String, (usize, Section)>,
     entries: BTreeMap<Address, Entry>,
-    /// What cannot be read, in words.
-    pub faults: Vec<String>,
+    /// What cannot be read: it is in none of the others.
+    pub faults: Vec<Fault>,
+    /// The text with `\n` behind each line, and whether its file is in Latin-1.
+    pub text: String,
+    pub is_latin: bool,
 }
 
 /// The data types of CiA 301 by what their values are.
@@ -27,6 +37,8 @@ pub enum Kind {
     Integer,
     Real,
     Text,
+    /// In UTF-16.
+    Unicode,
     Octets,
     Domain,
 }
@@ -45,61 +57,154 @@ pub struct Entry {
     default: Option<String>,
     low: Option<String>,
     high: Option<String>,
-    /// The value that a device configuration file gives to one device, as it stands there.
+    /// The value that a device configuration file gives to one device, as it stands there; for a DOMAIN the name of a file.
     pub value: Option<String>,
+    /// The line of its section.
+    pub line: usize,
+    /// Texts are in Latin-1, as the file.
+    is_latin: bool,
 }
 
 impl Eds {
-    /// Reads a data sheet; what it cannot read is among the faults.
-    pub fn parse(text: &str) -> Self {
-        let mut eds = Self::default();
-        let mut name = String::new();
-        for line in text.lines().map(str::trim) {
-            if line.is_empty() || line.starts_with(';') {
-                continue;
-            }
-            if let Some(section) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
-                name = section.to_ascii_lowercase();
-                if eds.sections.insert(name.clone(), Section::new()).is_some() {
-                    eds.faults.push(format!("[{section}] twice"));
-                }
-            } else if let Some((key, value)) = line.split_once('=') {
-                let section = eds.sections.entry(name.clone()).or_default();
-                let key = key.trim().to_ascii_lowercase();
-                if section.insert(key, value.trim().to_owned()).is_some() {
-                    eds.faults.push(format!("a key twice in [{name}]: {line}"));
-                }
-            } else {
-                eds.faults.push(format!("neither a section nor a key: {line}"));
-            }
-        }
-        eds.read_entries();
-        eds
+    /// Reads a file in UTF-8, UTF-16 or Latin-1, with the line ends of any computer.
+    ///
+    /// # Errors
+    /// In words: the file cannot be read.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let (text, is_latin) =
+            file::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+        Ok(Self::of(text, is_latin))
     }
 
+    /// Reads a text; what of it cannot be read is among the faults.
+    pub fn parse(text: &str) -> Self {
+        Self::of(text.to_owned(), false)
+    }
+
+    fn of(text: String, is_latin: bool) -> Self {
+        let mut eds = Self { is_latin, ..Self::default() };
+        eds.read_sections(&text);
+        eds.read_entries();
+        eds.find_lost();
+        Self { text, ..eds }
+    }
+
+    fn read_sections(&mut self, text: &str) {
+        // Empty: the lines are in none.
+        let mut section = String::new();
+        for (line, content) in (1..).zip(text.lines()) {
+            let content = content.trim();
+            let mut fault = Fault { line, section: section.clone(), ..Fault::default() };
+            match Line::read(content) {
+                Line::Empty => continue,
+                Line::Section(name) => {
+                    section = name.to_ascii_lowercase();
+                    match self.sections.entry(section.clone()) {
+                        Place::Vacant(place) => {
+                            place.insert((line, Section::new()));
+                            continue;
+                        }
+                        Place::Occupied(first) => {
+                            fault.section.clone_from(&section);
+                            fault.words = format!("it is there since line {}", first.get().0);
+                        }
+                    }
+                }
+                Line::Key(key, value) => {
+                    let key = key.to_ascii_lowercase();
+                    match self.sections.get_mut(&section).map(|(_, keys)| keys.entry(key.clone())) {
+                        Some(Place::Vacant(place)) => {
+                            place.insert(value.to_owned());
+                            continue;
+                        }
+                        Some(Place::Occupied(first)) if first.get() == value => {
+                            fault.words = format!("a key twice: {content}");
+                        }
+                        Some(Place::Occupied(first)) => {
+                            fault.words = format!("{content}, but {} before", first.get());
+                            fault.twice = Some(key);
+                        }
+                        None => {
+                            fault.words = format!("in no section: {content}");
+                            fault.is_wanted = is_wanted(&key) && !value.is_empty();
+                        }
+                    }
+                }
+                Line::Unread => {
+                    fault.words = format!("neither a section nor a key: {content}");
+                    fault.is_wanted = is_wanted(&content.to_ascii_lowercase());
+                    // It is not known what the lines behind it belong to.
+                    if content.starts_with('[') {
+                        section.clear();
+                    }
+                }
+            }
+            self.faults.push(fault);
+        }
+    }
+
+    /// Reads the values. One that is wanted is lost if its keys say two things.
     fn read_entries(&mut self) {
-        for (name, section) in &self.sections {
+        let torn = self.faults.iter().filter(|fault| fault.twice.is_some());
+        let torn: BTreeSet<String> = torn.map(|fault| fault.section.clone()).collect();
+        for (name, (line, section)) in &self.sections {
             let Some(address) = address(name) else { continue };
             if section.contains_key("subnumber") && section.get("datatype").is_none() {
                 continue;
             }
-            let entry = match Entry::read(address, section) {
-                Ok(entry) => entry,
-                Err(fault) => {
-                    self.faults.push(format!("[{name}]: {fault}"));
+            let is_wanted = wanted(section).next().is_some();
+            let entry = match is_wanted && torn.contains(name) {
+                true => Err("a key has two values".into()),
+                false => Entry::read(address, section),
+            };
+            let entry = match entry {
+                Ok(entry) => Entry { line: *line, is_latin: self.is_latin, ..entry },
+                Err(words) => {
+                    let (line, section, twice) = (*line, name.clone(), None);
+                    self.faults.push(Fault { line, section, twice, words, is_wanted });
                     continue;
                 }
             };
             match self.number(name, "CompactSubObj") {
                 Some(count @ 1..=254) => {
-                    let elements = self.compact(name, &entry, count as u8);
+                    let elements = self.compact(name, &entry, count as u8, &torn);
                     self.entries.extend(elements.map(|entry| (entry.address, entry)));
                 }
-                _ => {
-                    self.entries.insert(address, entry);
-                }
+                _ => _ = self.entries.insert(address, entry),
             }
         }
+    }
+
+    /// Finds the other wanted values that no entry has.
+    fn find_lost(&mut self) {
+        let known = self.faults.iter().filter(|fault| fault.is_wanted);
+        let known: BTreeSet<&String> = known.map(|fault| &fault.section).collect();
+        let has = |address: Address, value: &str| {
+            self.get(address).is_some_and(|entry| entry.value.as_deref() == Some(value))
+        };
+        let mut lost = Vec::new();
+        for (name, (line, section)) in &self.sections {
+            let of_each = name.strip_suffix("value").and_then(address);
+            let first = match (of_each, address(name)) {
+                _ if known.contains(name) => None,
+                (Some((index, _)), _) => section.iter().find(|(key, value)| {
+                    let number = key.parse().ok().filter(|_| !value.is_empty());
+                    number.is_some_and(|number| !has((index, number), value))
+                }),
+                // The elements of an object may share its section.
+                (None, Some((index, sub_index))) => wanted(section)
+                    .find(|(_, value)| !has((index, sub_index), value) && !has((index, 1), value)),
+                (None, None) => wanted(section).next(),
+            };
+            lost.extend(first.map(|(key, value)| Fault {
+                line: *line,
+                section: name.clone(),
+                twice: None,
+                words: format!("{key}={value} belongs to no value"),
+                is_wanted: true,
+            }));
+        }
+        self.faults.extend(lost);
     }
 
     /// The values of an object whose elements share one section (CiA 306, CompactSubObj). Names and values that are not
@@ -109,9 +214,13 @@ impl Eds {
         section: &str,
         of_all: &Entry,
         count: u8,
+        torn: &BTreeSet<String>,
     ) -> impl Iterator<Item = Entry> + use<> {
-        let of_each = |kind: &str| self.section(&format!("{section}{kind}")).cloned();
-        let (names, values) = (of_each("Name"), of_each("Value"));
+        let of_each = |kind: &str| {
+            let name = format!("{section}{kind}");
+            self.section(&name).filter(|_| !torn.contains(&name)).cloned()
+        };
+        let (names, values) = (of_each("name"), of_each("value"));
         let text = |of_each: &Option<Section>, number: u8| {
             of_each.as_ref()?.get(&number.to_string()).filter(|text| !text.is_empty()).cloned()
         };
@@ -128,6 +237,7 @@ impl Eds {
             low: None,
             high: None,
             value: None,
+            ..of_all.clone()
         };
         let of_all = of_all.clone();
         let elements = (1..=count).map(move |number| Entry {
@@ -142,7 +252,7 @@ impl Eds {
 
     /// A section by its name, whatever its case.
     pub fn section(&self, name: &str) -> Option<&Section> {
-        self.sections.get(&name.to_ascii_lowercase())
+        self.sections.get(&name.to_ascii_lowercase()).map(|(_, keys)| keys)
     }
 
     pub fn get(&self, address: Address) -> Option<&Entry> {
@@ -207,6 +317,26 @@ impl Eds {
         all
     }
 
+    /// The vendor-ID, the product code and the revision number. What `DeviceInfo` does not give of the first two, the
+    /// defaults of 1018h do.
+    pub fn identity(&self) -> [Option<u32>; 3] {
+        let given = |key: &str| {
+            let text = word(self.section("DeviceInfo")?.get(key)?);
+            // A number with all its digits is hexadecimal, as a person writes these: 00030924.
+            let value = match text.len() == 8 && text.starts_with('0') {
+                true => u32::from_str_radix(text, 16).ok(),
+                false => None,
+            };
+            value.or_else(|| u32::try_from(number(text, 0)?).ok())
+        };
+        let or_default = |key: &str, sub_index| {
+            let default = || self.get((0x1018, sub_index))?.number_default(0)?.try_into().ok();
+            let given = given(key);
+            given.filter(|number| *number != 0).or_else(default).or(given)
+        };
+        [or_default("vendornumber", 1), or_default("productnumber", 2), given("revisionnumber")]
+    }
+
     /// The value of a key that is a number.
     pub fn number(&self, section: &str, key: &str) -> Option<i128> {
         number(self.section(section)?.get(&key.to_ascii_lowercase())?, 0)
@@ -222,22 +352,37 @@ pub fn address(name: &str) -> Option<Address> {
     Some((u16::from_str_radix(index, 16).ok()?, u8::from_str_radix(sub_index, 16).ok()?))
 }
 
-/// A number in the notation of CiA 306: decimal, 0x hexadecimal, 0 octal, and $NODEID in a sum.
+/// Whether a key gives a device a value.
+fn is_wanted(key: &str) -> bool {
+    key.contains("parametervalue") || key.contains("downloadfile")
+}
+
+/// The keys of a section that do, with the values.
+fn wanted(section: &Section) -> impl Iterator<Item = (&String, &String)> {
+    section.iter().filter(|(key, value)| is_wanted(key) && !value.is_empty())
+}
+
+/// A number in the notation of CiA 306: decimal, 0x hexadecimal, 0 octal, and $NODEID in a sum. Before letters 0x may be
+/// missing.
 fn number(text: &str, node: u8) -> Option<i128> {
     let part = |text: &str| {
         let text = text.trim().to_ascii_lowercase();
         let (sign, digits) = text.strip_prefix('-').map_or((1, &*text), |digits| (-1, digits));
-        let value = match digits.strip_prefix("0x") {
-            _ if digits == "$nodeid" => Some(node.into()),
-            Some(hex) => i128::from_str_radix(hex, 16).ok(),
-            None if digits.len() > 1 && digits.starts_with('0') => {
-                i128::from_str_radix(digits, 8).ok()
-            }
-            None => digits.parse().ok(),
+        if digits == "$nodeid" {
+            return Some(sign * i128::from(node));
+        }
+        let is_decimal = digits.bytes().all(|digit| digit.is_ascii_digit());
+        let (digits, radix) = match digits.strip_prefix("0x") {
+            Some(hex) => (hex, 16),
+            None if !is_decimal => (digits, 16),
+            None if digits.len() > 1 && digits.starts_with('0') => (digits, 8),
+            None => (digits, 10),
         };
-        value?.checked_mul(sign)
+        // Not a second sign.
+        let is_number = digits.starts_with(|first: char| first.is_ascii_hexdigit());
+        i128::from_str_radix(digits, radix).ok().filter(|_| is_number)?.checked_mul(sign)
     };
-    text.split('+').try_fold(0_i128, |sum, summand| sum.checked_add(part(summand)?))
+    word(text).split('+').try_fold(0_i128, |sum, summand| sum.checked_add(part(summand)?))
 }
 
 impl Entry {
@@ -249,18 +394,20 @@ impl Entry {
                 .and_then(|value| value.try_into().ok())
                 .ok_or_else(|| format!("{key}={value} is no number")),
         };
-        let access = match text("accesstype").unwrap_or_default().to_ascii_lowercase().as_str() {
+        let access = text("accesstype").unwrap_or_default().to_ascii_lowercase();
+        let access = match word(&access) {
             "const" => Access::Const,
-            "ro" => Access::ReadOnly,
+            "ro" | "r" => Access::ReadOnly,
             "rw" => Access::ReadWrite,
             "rwr" => Access::ReadWriteInput,
             "rww" => Access::ReadWriteOutput,
-            "wo" => Access::WriteOnly,
-            other => return Err(format!("AccessType={other}")),
+            "wo" | "w" => Access::WriteOnly,
+            "" => return Err("no AccessType".into()),
+            other => return Err(format!("AccessType={other} is unknown")),
         };
         let entry = Self {
             address,
-            name: text("parametername").ok_or("no ParameterName")?,
+            name: text("parametername").unwrap_or_default(),
             object_type: optional("objecttype", 7)?,
             data_type: optional("datatype", 0)?,
             access,
@@ -269,7 +416,9 @@ impl Entry {
             default: text("defaultvalue"),
             low: text("lowlimit"),
             high: text("highlimit"),
-            value: text("parametervalue"),
+            value: text("parametervalue").or_else(|| text("downloadfile")),
+            line: 0,
+            is_latin: false,
         };
         match entry.shape() {
             Some(_) => Ok(entry),
@@ -285,7 +434,8 @@ impl Entry {
             0x05..=0x07 => (Kind::Unsigned, 8 << (self.data_type - 5)),
             0x08 => (Kind::Real, 32),
             0x09 => (Kind::Text, 0),
-            0x0A | 0x0B => (Kind::Octets, 0),
+            0x0A => (Kind::Octets, 0),
+            0x0B => (Kind::Unicode, 0),
             0x0F => (Kind::Domain, 0),
             0x10 => (Kind::Integer, 24),
             0x11 => (Kind::Real, 64),
@@ -347,7 +497,7 @@ impl Entry {
 
     /// The default, if it is a number.
     pub fn number_default(&self, node: u8) -> Option<i128> {
-        number(self.default.as_deref()?, node).filter(|_| self.is_number())
+        self.value_of(&self.default(node)?)
     }
 
     /// Whether there is a default that is not in the notation of its type.
@@ -357,12 +507,17 @@ impl Entry {
 
     /// The lowest value, if it is a number.
     pub fn low(&self, node: u8) -> Option<i128> {
-        number(self.low.as_deref()?, node).filter(|_| self.is_number())
+        self.limit(&self.low, node)
     }
 
     /// The highest value, if it is a number.
     pub fn high(&self, node: u8) -> Option<i128> {
-        number(self.high.as_deref()?, node).filter(|_| self.is_number())
+        self.limit(&self.high, node)
+    }
+
+    /// A limit is written as a value is: 0x8000 is the lowest INTEGER16.
+    fn limit(&self, text: &Option<String>, node: u8) -> Option<i128> {
+        self.value_of(&self.parse(text.as_deref()?, node)?)
     }
 
     /// The range of the data type, if it is of numbers.
@@ -384,6 +539,7 @@ impl Entry {
             Kind::Integer => format!("INTEGER{bits}"),
             Kind::Real => format!("REAL{bits}"),
             Kind::Text => "VISIBLE_STRING".into(),
+            Kind::Unicode => "UNICODE_STRING".into(),
             Kind::Octets => "OCTET_STRING".into(),
             Kind::Domain => "DOMAIN".into(),
         }
@@ -400,8 +556,15 @@ impl Entry {
             }
             _ => {
                 let value = self.value_of(bytes)?;
-                self.low(node).is_some_and(|low| value < low)
-                    || self.high(node).is_some_and(|high| value > high)
+                let (low, high) = (self.low(node), self.high(node));
+                // Limits that exclude each value say nothing, nor does the highest number of all bits.
+                let is_unsigned = self.high.as_ref().is_some_and(|high| !high.contains('-'));
+                let is_empty = match low {
+                    Some(low) => high.is_some_and(|high| low > high),
+                    None => is_unsigned && high.is_some_and(|high| high < 0),
+                };
+                let is_low = low.is_some_and(|low| value < low);
+                !is_empty && (is_low || high.is_some_and(|high| value > high))
             }
         };
         let limit = |text: &Option<String>| text.clone().unwrap_or_else(|| "any".into());
@@ -431,7 +594,14 @@ impl Entry {
         let is_communication = self.address.0 < 0x2000;
         match self.kind() {
             Kind::Text => {
-                let text = String::from_utf8_lossy(bytes);
+                let text = str::from_utf8(bytes).map(str::to_owned);
+                let text = text.unwrap_or_else(|_| bytes.iter().copied().map(char::from).collect());
+                format!("{:?}", text.trim_end_matches('\0'))
+            }
+            Kind::Unicode => {
+                let units =
+                    bytes.chunks_exact(2).map(|unit| u16::from_le_bytes([unit[0], unit[1]]));
+                let text = String::from_utf16_lossy(&units.collect::<Vec<_>>());
                 format!("{:?}", text.trim_end_matches('\0'))
             }
             // Without the digits that a REAL32 does not have.
@@ -449,10 +619,15 @@ impl Entry {
     /// its bits: not every program reads decimals there.
     pub fn notation(&self, bytes: &[u8]) -> Option<String> {
         match self.kind() {
-            Kind::Text => {
-                let text = str::from_utf8(bytes).ok()?.trim_end_matches('\0');
+            Kind::Text | Kind::Unicode => {
+                let text = self.text(bytes);
+                let text = text.strip_prefix('"')?.strip_suffix('"')?;
+                let line = format!("v={text}");
+                let is_as_it_is = matches!(Line::read(&line), Line::Key(_, read) if read == text);
                 let is_printable = text.chars().all(|c| c == ' ' || c.is_ascii_graphic());
-                (is_printable && text.trim() == text).then(|| text.to_owned())
+                // The quotes of `text` escape these.
+                let is_plain = is_printable && !text.contains(['"', '\\']);
+                (is_plain && is_as_it_is).then(|| text.to_owned())
             }
             Kind::Real => {
                 let size = self.size().filter(|size| *size == bytes.len())?;
@@ -481,17 +656,34 @@ impl Entry {
                 let is_possible = value >= low && value <= high.max((high - low).min(1 << 64));
                 is_possible.then(|| self.of_number(value))
             }
-            Kind::Real => match (text.strip_prefix("0x"), length?) {
-                (Some(_), _) => Some(self.of_number(number(text, 0)?)),
-                (None, 4) => Some(text.parse::<f32>().ok()?.to_le_bytes().to_vec()),
-                (None, _) => Some(text.parse::<f64>().ok()?.to_le_bytes().to_vec()),
-            },
-            Kind::Text => Some(text.as_bytes().to_vec()),
+            Kind::Real => {
+                let (text, length) = (word(text), length?);
+                // Not what only overflows.
+                let is_infinite = !text.contains(|c: char| c.is_ascii_digit());
+                match text.starts_with("0x") || text.starts_with("0X") {
+                    true => {
+                        let bits = number(text, 0)?;
+                        (bits >> (8 * length) == 0).then(|| self.of_number(bits))
+                    }
+                    false if length == 4 => {
+                        let value = text.parse::<f32>().ok()?;
+                        (value.is_finite() || is_infinite).then(|| value.to_le_bytes().to_vec())
+                    }
+                    false => {
+                        let value = text.parse::<f64>().ok()?;
+                        (value.is_finite() || is_infinite).then(|| value.to_le_bytes().to_vec())
+                    }
+                }
+            }
+            Kind::Text => Some(encode(text, self.is_latin)),
+            Kind::Unicode => Some(text.encode_utf16().flat_map(u16::to_le_bytes).collect()),
             Kind::Octets => {
-                let digits: String = text.split_whitespace().collect();
-                let pairs = digits.as_bytes().chunks(2);
+                let parts = word(text).split_whitespace();
+                let digits: String = parts.map(|part| part.trim_start_matches("0x")).collect();
+                let is_hex = digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+                let pairs = (is_hex && digits.len().is_multiple_of(2)).then_some(digits.as_bytes());
                 let byte = |pair: &[u8]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
-                pairs.map(byte).collect()
+                pairs?.chunks(2).map(byte).collect()
             }
             Kind::Domain => None,
         }
@@ -512,7 +704,8 @@ mod tests {
     #[test]
     fn a_sheet_with_the_notations_of_other_programs_is_read() {
         let eds = Eds::parse(SHEET);
-        assert_eq!(eds.faults, ["[2000]: DataType=0x0077 is unknown"]);
+        let faults: Vec<String> = eds.faults.iter().map(ToString::to_string).collect();
+        assert_eq!(faults, ["line 26, [2000]: DataType=0x0077 is unknown"]);
         assert_eq!(eds.number("deviceinfo", "LSS_Supported"), Some(1));
         assert_eq!(eds.indices(), [0x1014, 0x1018]);
         let emergency = eds.get((0x1014, 0)).unwrap();
@@ -578,18 +771,5 @@ mod tests {
         // A line of a file holds neither.
         assert_eq!((text.notation(b"a\nb"), text.notation(b" a")), (None, None));
         assert_eq!(entry(10, "").notation(&[1, 0xAB]).as_deref(), Some("01AB"));
-    }
-
-    #[test]
-    fn a_real_is_a_decimal_number_or_its_bits() {
-        let sheet = |value: &str| {
-            Eds::parse(&format!(
-                "[2001]\nParameterName=R\nDataType=8\nAccessType=rw\nDefaultValue={value}"
-            ))
-        };
-        let default = |value: &str| sheet(value).get((0x2001, 0)).unwrap().default(1);
-        assert_eq!(default("0.5"), Some(0.5_f32.to_le_bytes().to_vec()));
-        assert_eq!(default("0x3F000000"), default("0.5"));
-        assert_eq!(default("a half"), None);
     }
 }

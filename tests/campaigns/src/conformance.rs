@@ -220,10 +220,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
-    let read = |path: &Path| {
-        let text = fs::read_to_string(path);
-        anyhow::Ok(Eds::parse(&text.with_context(|| format!("cannot read {}", path.display()))?))
-    };
+    let read = |path: &Path| Eds::read(path).map_err(anyhow::Error::msg);
     if let (Some(elf), Some(eds)) = (&arguments.elf, &arguments.eds) {
         let chip = arguments.chip;
         let name = elf.file_name().unwrap_or_default().to_string_lossy();

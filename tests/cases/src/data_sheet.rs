@@ -17,7 +17,7 @@ pub const GROUP: Group = Group {
 
 fn check(bench: &mut Bench) -> Step {
     let eds = bench.eds;
-    let mut faults = eds.faults.clone();
+    let mut faults: Vec<String> = eds.faults.iter().map(ToString::to_string).collect();
     lists(eds, &mut faults);
     for index in eds.indices() {
         object(eds, index, &mut faults);

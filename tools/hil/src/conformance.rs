@@ -101,10 +101,9 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     let (eds, chapters, name): (_, &[(&[Group], &str)], _) = match test.subject {
         Subject::Lss => (Eds::default(), &[(LSS, "")], "LSS".to_owned()),
         Subject::ApplicationLayer(path) => {
-            let text = fs::read_to_string(path);
-            let text = text.with_context(|| format!("cannot read {}", path.display()))?;
+            let eds = Eds::read(path).map_err(anyhow::Error::msg)?;
             let chapters = &[(APPLICATION_LAYER, ""), (OWN, ", our own cases")];
-            (Eds::parse(&text), chapters, path.display().to_string())
+            (eds, chapters, path.display().to_string())
         }
     };
     let mut adapter = test.adapter.connect()?;

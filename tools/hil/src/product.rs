@@ -1,6 +1,6 @@
 //! The product whose boards are tested: this firmware, or another one by its data sheet or its identity.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use ::conformance::{eds::Eds, lss::Feature};
 use anyhow::{Context, ensure};
@@ -96,11 +96,10 @@ impl Product {
 
     fn of_data_sheet(path: &Path, without: Vec<Feature>) -> anyhow::Result<Self> {
         let name = path.display();
-        let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
-        let eds = Eds::parse(&text);
+        let eds = Eds::read(path).map_err(anyhow::Error::msg)?;
+        let [vendor_id, product_code, revision_number] = eds.identity();
         let number = |key: &str| eds.number("DeviceInfo", key).and_then(|n| u32::try_from(n).ok());
-        let identity =
-            |key: &str| number(key).with_context(|| format!("{name}: no {key} in [DeviceInfo]"));
+        let missing = |key: &str| format!("{name}: no {key}, neither in [DeviceInfo] nor in 1018h");
         let text = |index| {
             let bytes = eds.get((index, 0))?.default(0)?;
             Some(String::from_utf8_lossy(&bytes).into_owned())
@@ -109,12 +108,16 @@ impl Product {
             |rate: &BitRate| number(&format!("BaudRate_{}", rate.kbit_per_s())) == Some(1);
         let device_type = eds.get((0x1000, 0)).and_then(|entry| entry.number_default(0));
         Ok(Self {
-            revision_number: number("RevisionNumber"),
+            revision_number,
             device_type: device_type.and_then(|number| u32::try_from(number).ok()),
             texts: [0x1008, 0x1009, 0x100A].map(text),
             rates: Some(BitRate::ALL.into_iter().filter(offered).collect()),
             without,
-            ..Self::unknown(name.to_string(), identity("VendorNumber")?, identity("ProductNumber")?)
+            ..Self::unknown(
+                name.to_string(),
+                vendor_id.with_context(|| missing("VendorNumber"))?,
+                product_code.with_context(|| missing("ProductNumber"))?,
+            )
         })
     }
 
@@ -125,5 +128,19 @@ impl Product {
 
     pub fn lacks(&self, feature: Feature) -> bool {
         self.without.contains(&feature)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use testkit::cargo::workspace;
+
+    use super::*;
+
+    #[test]
+    fn a_mark_before_the_first_section_of_a_data_sheet_hides_nothing() {
+        let path = workspace().join("tools/lss/tests/tool/sheets/bom_before_deviceinfo.eds");
+        let product = Product::of_data_sheet(&path, Vec::new()).expect("a data sheet");
+        assert_eq!((product.vendor_id, product.product_code), (1, 2));
     }
 }

@@ -10,6 +10,18 @@ pub fn text(address: &Address) -> String {
     format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
 }
 
+/// The same of parts that may not be known.
+pub fn kind_text(parts: &[Option<u32>]) -> String {
+    let part = |part: &Option<u32>| part.map_or("any".into(), |part| format!("{part:08X}"));
+    parts.iter().map(part).collect::<Vec<_>>().join(":")
+}
+
+/// Whether an address has these parts, as far as they are known.
+pub fn is_of(address: &Address, kind: [Option<u32>; 4]) -> bool {
+    let parts: [u32; 4] = (*address).into();
+    kind.iter().zip(parts).all(|(known, part)| known.is_none_or(|known| known == part))
+}
+
 /// Parts of LSS addresses in hexadecimal, with commas between them.
 pub fn parts(numbers: &[u32]) -> String {
     numbers.iter().map(|number| format!("{number:08X}")).collect::<Vec<_>>().join(", ")

@@ -71,6 +71,9 @@ pub struct Apply {
     /// Compare each value, also of nodes whose configuration stamp says that they have them
     #[arg(long)]
     pub full: bool,
+    /// Do not bring a node to NMT state pre-operational before its PDOs change
+    #[arg(long)]
+    pub keep_state: bool,
     /// Write a DCF for each node with the values that are on it, in the end, into this folder
     #[arg(long, value_name = "FOLDER")]
     pub write_dcf: Option<PathBuf>,

@@ -16,7 +16,7 @@ use crate::{
         found::{self, Found, Place},
         node_ids::{Fate, NodeIds},
         table::beside,
-        values::{self, Done, Values},
+        values::{self, Done, Manner, Values},
     },
     session::Session,
 };
@@ -46,8 +46,12 @@ pub fn apply(
     if found.places.iter().all(Option::is_none) && found.unknown.is_empty() {
         return Err(Failure::nobody(session.bus.rate()));
     }
-    let trusts_stamps = !stores_again && !arguments.full;
-    let mut run = Run { session, files, found, stores_again, trusts_stamps };
+    let manner = Manner {
+        stores_again,
+        trusts_stamps: !stores_again && !arguments.full,
+        keeps_state: arguments.keep_state,
+    };
+    let mut run = Run { session, files, found, manner };
     let values = run.compare()?;
     run.session.progress.clear();
     let rate = run.session.bus.rate();
@@ -78,6 +82,7 @@ pub fn apply(
         let new: Vec<String> = new.into_iter().filter(|problem| !is_told(problem)).collect();
         run.found.problems.extend(new);
     }
+    run.found.problems.append(&mut run.found.left_out);
     if let Some(folder) = &arguments.write_dcf {
         run.write_dcfs(folder, arguments.json)?;
     }
@@ -99,22 +104,22 @@ struct Run<'s, 'a> {
     session: &'s mut Session<'a>,
     files: Files,
     found: Found,
-    stores_again: bool,
-    trusts_stamps: bool,
+    manner: Manner,
 }
 
 impl Run<'_, '_> {
     /// Compares the values of the nodes that can be asked.
     fn compare(&mut self) -> Result<Vec<Values>, Failure> {
         let mut all = Vec::new();
-        for (node, place) in self.files.nodes.iter().zip(&self.found.places) {
+        for (node, place) in self.files.nodes.iter().zip(self.found.places.clone()) {
             let mut values = Values::not_compared(node);
-            if let Some(Place { id: Some(id), is_shared: false, .. }) = *place {
-                match values::compare(self.session, id, node, self.trusts_stamps) {
+            if let Some(Place { id: Some(id), is_shared: false, .. }) = place {
+                match values::compare(self.session, id, node, self.manner.trusts_stamps) {
                     Ok(compared) => values = compared,
                     Err(failure) => self.found.problems.push(node.failed(failure)?),
                 }
                 values.changes.retain_mut(|change| change.remains(node, id));
+                self.found.leave_out(node, &values.left_out);
             }
             all.push(values);
         }
@@ -140,18 +145,19 @@ impl Run<'_, '_> {
             }
             self.session.bus.hold_interrupt(false);
         }
-        for ((node, place), before) in self.files.nodes.iter().zip(&self.found.places).zip(before) {
+        let places = self.found.places.clone();
+        for ((node, place), before) in self.files.nodes.iter().zip(places).zip(before) {
             // Another one still waits for its node-ID.
             let Some(Place { address, id: Some(id), is_shared: false }) = place else { continue };
-            if *id != node.id {
+            if id != node.id {
                 continue;
             }
-            let (stores_again, trusts_stamps) = (self.stores_again, self.trusts_stamps);
-            match values::apply(self.session, *id, address, node, stores_again, trusts_stamps) {
+            match values::apply(self.session, id, &address, node, self.manner) {
                 Ok(done) => {
-                    let words = words(&done, before != Some(*id), stores_again);
+                    self.found.leave_out(node, &done.left_out);
+                    let words = words(&done, before != Some(id), self.manner.stores_again);
                     if !words.is_empty() {
-                        let address = address::text(address);
+                        let address = address::text(&address);
                         let words = words.join(", ");
                         writeln!(self.session.out, "{}  {address}  {words}", node.words())?;
                     }
@@ -185,7 +191,7 @@ impl Run<'_, '_> {
             }
             Ok(())
         };
-        node_ids.give_all(self.session, &ids, places, self.stores_again, tell)
+        node_ids.give_all(self.session, &ids, places, self.manner.stores_again, tell)
     }
 
     fn write_dcfs(&mut self, folder: &Path, is_quiet: bool) -> Result<(), Failure> {
@@ -229,8 +235,9 @@ fn words(done: &Done, is_new: bool, stores_again: bool) -> Vec<String> {
     if is_new || done.is_verified {
         words.push("verified by a reset".into());
     }
-    if done.was_operational {
-        words.push("pre-operational since the reset".into());
+    if done.is_pre_operational {
+        let since = if done.is_verified { "since the reset" } else { "now: `lss start` starts it" };
+        words.push(format!("pre-operational {since}"));
     }
     words
 }

@@ -2,16 +2,20 @@
 
 use std::{collections::BTreeMap, fs, path::Path};
 
-use can_bus::{eds, sdo};
+use can_bus::{
+    eds::{self, Line, encode},
+    sdo,
+};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::{
     node::{Node, STAMP},
-    sheet::Sheet,
+    sheet::{Sheet, address_words},
 };
 use crate::{failure::Failure, session::Session};
 
-/// Writes `node_5.dcf` into the folder, with the values that configure the node with this node-ID; returns its name.
+/// Writes `node_5.dcf` into the folder, with the values that configure the node with this node-ID; returns its name, and what
+/// has no place there.
 pub fn write(
     session: &mut Session<'_>,
     folder: &Path,
@@ -20,7 +24,7 @@ pub fn write(
     address: &Address,
     id: NodeId,
 ) -> Result<String, Failure> {
-    let mut values = BTreeMap::new();
+    let (mut values, mut lost) = (BTreeMap::new(), Vec::new());
     for entry in sheet.eds.entries() {
         // The stamp proves values of this board, and not those that a person may write into the file.
         if !sheet.configures(entry) || !entry.can_be_read() || entry.address.0 == STAMP {
@@ -32,16 +36,20 @@ pub fn write(
         // Some objects cannot be read in each state, and a value without a notation cannot stand in the file.
         let (index, sub_index) = entry.address;
         let value = sdo::read(&mut session.bus, id.get(), index, sub_index)?;
-        let text = value.ok().and_then(|bytes| entry.notation(&bytes));
-        values.extend(text.map(|text| (entry.address, text)));
+        match value.ok().and_then(|bytes| entry.notation(&bytes)) {
+            Some(text) => _ = values.insert(entry.address, text),
+            None => lost.push(address_words(entry.address, Some(sheet))),
+        }
     }
     let name = format!("node_{}.dcf", id.get());
     let rate = session.bus.rate();
     let text = content(sheet, &values, &name, &commissioning(node, address, id, rate));
     let path = folder.join(&name);
-    let written = fs::create_dir_all(folder).and_then(|()| fs::write(&path, text));
+    let bytes = encode(&text, sheet.eds.is_latin);
+    let written = fs::create_dir_all(folder).and_then(|()| fs::write(&path, bytes));
     match written {
-        Ok(()) => Ok(path.display().to_string()),
+        Ok(()) if lost.is_empty() => Ok(path.display().to_string()),
+        Ok(()) => Ok(format!("{}, without {}", path.display(), lost.join(", "))),
         Err(error) => Err(Failure::Refused(format!("cannot write {}: {error}", path.display()))),
     }
 }
@@ -68,10 +76,8 @@ fn content(
     let mut text = String::new();
     let mut section = String::new();
     let mut is_left_out = false;
-    for line in sheet.text.lines() {
-        let line = line.trim_end();
-        if let Some(header) = line.trim().strip_prefix('[').and_then(|line| line.strip_suffix(']'))
-        {
+    for line in sheet.eds.text.lines().map(str::trim_end) {
+        if let Line::Section(header) = Line::read(line) {
             section = header.to_ascii_lowercase();
             is_left_out = matches!(&*section, "devicecomissioning" | "devicecommissioning")
                 || of_compact.contains_key(&*section);
@@ -139,7 +145,7 @@ mod tests {
         };
         let tool = "[Tool]\nFileName=a\nLastEDS=b\n";
         let text = object("2000", 2) + &object("2001", 0) + tool;
-        let sheet = Sheet { eds: Eds::parse(&text), text, path: "io.eds".into() };
+        let sheet = Sheet { eds: Eds::parse(&text), path: "io.eds".into() };
         let values =
             [((0x2000, 0), "2"), ((0x2000, 1), "5"), ((0x2000, 2), "6"), ((0x2001, 0), "7")];
         let values = values.map(|(address, value)| (address, value.to_owned())).into();

@@ -88,7 +88,7 @@ impl Plan {
             bit_rate,
             nodes,
             unknown: found.unknown.clone(),
-            problems: found.problems.clone(),
+            problems: found.problems.iter().chain(&found.left_out).cloned().collect(),
         }
     }
 
@@ -204,8 +204,12 @@ impl NodePlan {
             writeln!(out, "    ~ {count} to compare once it has its node-ID:")?;
         }
         for ValuePlan { words, found, wanted, .. } in &self.values {
+            let each_time = match found.is_none() && self.are_values_compared {
+                true => ", each time: it can only be written",
+                false => "",
+            };
             let found = found.as_deref().unwrap_or("?");
-            writeln!(out, "    ~ {words}: {found} -> {wanted}")?;
+            writeln!(out, "    ~ {words}: {found} -> {wanted}{each_time}")?;
         }
         if self.lacks_stamp && self.values.is_empty() {
             writeln!(out, "    ~ it has the values; stores them, and the stamp that proves it")?;

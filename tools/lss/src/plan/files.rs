@@ -10,7 +10,7 @@ use canopen_node::{BitRate, NodeId};
 
 use super::{
     node::{Node, Source},
-    sheet::{Sheet, read_text},
+    sheet::Sheet,
     table,
 };
 use crate::failure::Failure;
@@ -50,6 +50,12 @@ impl Files {
                 Ok(())
             }
             Some("cpj") => self.add_list(path, problems),
+            Some("eds") => {
+                let name = path.file_name().unwrap_or_default().display();
+                Err(format!(
+                    "a data sheet is of no node. Name it in a table (network.toml): id = 5, address = \"V:P:R:S\", eds = \"{name}\""
+                ))
+            }
             _ => Err("its name must end with .toml, .dcf or .cpj".into()),
         }
     }
@@ -88,7 +94,7 @@ impl Files {
 
     /// A list of nodes with their configuration files (CiA 306): the first network of it.
     fn add_list(&mut self, path: &Path, problems: &mut Vec<String>) -> Result<(), String> {
-        let list = Eds::parse(&read_text(path)?);
+        let list = Eds::read(path)?;
         let topology = list.section("Topology").ok_or("there is no [Topology] in it")?;
         let folder = path.parent().unwrap_or(Path::new("."));
         for id in (1..=127).filter_map(NodeId::new) {

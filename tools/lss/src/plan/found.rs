@@ -41,6 +41,8 @@ pub struct Found {
     pub is_scanned: bool,
     /// What is missing or not clear, in words.
     pub problems: Vec<String>,
+    /// The values of the files that the boards do not get, and why.
+    pub left_out: Vec<String>,
 }
 
 /// Opens the bus at the bit rate that the network has: `given` by the user, or that of the files. If a frame is heard
@@ -114,7 +116,7 @@ pub fn places(
         }
     }
     session.bus.request(Request::SwitchToWaiting)?;
-    Ok((Found { nodes, places, unknown: rows, is_scanned: false, problems }, absent))
+    Ok((Found { nodes, places, unknown: rows, problems, ..Found::default() }, absent))
 }
 
 /// Finds the boards of the files, and all others.
@@ -179,6 +181,13 @@ fn others(session: &mut Session<'_>, places: &[Option<Place>]) -> Result<Vec<Row
 }
 
 impl Found {
+    /// Notes values that a board does not get, once.
+    pub fn leave_out(&mut self, node: &Node, values: &[String]) {
+        let words = values.iter().map(|words| format!("{}: left out: {words}", node.words()));
+        let new: Vec<String> = words.filter(|words| !self.left_out.contains(words)).collect();
+        self.left_out.extend(new);
+    }
+
     /// The places of boards that share a node-ID with another are known to be alone after a further look.
     pub fn unshare(&mut self) {
         let places: Vec<Place> = self.places.iter().flatten().copied().collect();
@@ -222,15 +231,8 @@ fn select(
 
 /// The row of the board that is meant by its kind alone: the one that has the node-ID, or the only one.
 fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
-    let Board::Kind { vendor_id, product_code, revision_number } = node.board else {
-        return Err(String::new());
-    };
-    let is_it = |row: &Row| {
-        row.lss_address.is_some_and(|address| {
-            (address.vendor_id, address.product_code) == (vendor_id, product_code)
-                && [0, address.revision_number].contains(&revision_number)
-        })
-    };
+    let Board::Kind(kind) = node.board else { return Err(String::new()) };
+    let is_it = |row: &Row| row.lss_address.is_some_and(|address| address::is_of(&address, kind));
     let all: Vec<usize> = (0..rows.len()).filter(|row| is_it(&rows[*row])).collect();
     let has_id =
         |row: &&usize| rows[**row].node_id == Some(node.id.get()) && !rows[**row].is_duplicate;
@@ -240,10 +242,10 @@ fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
     match all[..] {
         [row] => Ok(row),
         [] => Err(format!(
-            "{} is missing: no board {vendor_id:08X}:{product_code:08X}:{revision_number:08X} answers. {}",
+            "{} is missing: no board {} answers. {}",
             node.words(),
-            other_revision(rows, |other| (other.vendor_id, other.product_code)
-                == (vendor_id, product_code))
+            address::kind_text(&kind),
+            other_revision(rows, |other| address::is_of(&other, [kind[0], kind[1], None, kind[3]]))
         )),
         _ => {
             let text = |row: &usize| rows[*row].lss_address.as_ref().map(address::text);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use can_bus::eds::{self, Entry, Kind};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
-use super::sheet::{Board, Sheet, address_words};
+use super::sheet::{Board, LeftOut, Sheet, address_words};
 use crate::{address, failure::Failure};
 
 const STORE: u16 = 0x1010;
@@ -19,6 +19,8 @@ pub struct Node {
     pub sheet: Option<Sheet>,
     /// The values to write, by index and sub-index, without the stamp.
     pub values: BTreeMap<eds::Address, Vec<u8>>,
+    /// The values of the files that are not among them.
+    pub left_out: Vec<LeftOut>,
     /// The stamp of the configuration (1020h), which is written last, if the board has one and can store.
     pub stamp: Option<Stamp>,
 }
@@ -36,7 +38,7 @@ impl Node {
     pub fn address(&self) -> Option<Address> {
         match self.board {
             Board::Address(address) => Some(address),
-            Board::Kind { .. } => None,
+            Board::Kind(_) => None,
         }
     }
 
@@ -55,13 +57,17 @@ impl Node {
         self.sheet.as_ref()?.eds.get(address)
     }
 
-    /// Whether a value on the board is the wanted one. Some boards put zeros behind a text.
+    /// Whether a value on the board is the wanted one.
     pub fn is_as_wanted(&self, address: eds::Address, found: &[u8]) -> bool {
-        let is_text = self.entry(address).is_some_and(|entry| entry.kind() == Kind::Text);
-        self.values.get(&address).is_some_and(|wanted| match is_text {
-            true => without_zeros(found) == without_zeros(wanted),
-            false => found == wanted,
-        })
+        self.values.get(&address).is_some_and(|wanted| self.is_same(address, found, wanted))
+    }
+
+    /// Whether two values are the same. Some boards put zeros behind a text.
+    pub fn is_same(&self, address: eds::Address, found: &[u8], wanted: &[u8]) -> bool {
+        match self.entry(address).map(Entry::kind) {
+            Some(Kind::Text | Kind::Unicode) => without_zeros(found) == without_zeros(wanted),
+            _ => found == wanted,
+        }
     }
 
     /// Whether the board can store its values.
@@ -73,7 +79,8 @@ impl Node {
     pub fn value_words(&self, address: eds::Address) -> String {
         let name =
             self.sheet.as_ref().and_then(|sheet| Some(sheet.eds.name(sheet.eds.get(address)?)));
-        format!("{} {}", address_words(address, self.sheet.as_ref()), name.unwrap_or_default())
+        let words = address_words(address, self.sheet.as_ref());
+        format!("{words} {}", name.unwrap_or_default()).trim_end().to_owned()
     }
 }
 
@@ -114,11 +121,11 @@ impl Source {
             );
             return None;
         };
-        let mut values = BTreeMap::new();
+        let (mut values, mut left_out) = Default::default();
         match &self.sheet {
             Some(sheet) => {
                 if self.has_values {
-                    values = sheet.values(id.get(), problems);
+                    (values, left_out) = sheet.values(id.get());
                 }
                 for (key, value) in &self.values {
                     match sheet.value(key, value, id.get()) {
@@ -137,28 +144,33 @@ impl Source {
             let section = self.sheet.as_ref()?.commissioning()?;
             section.get("nodename").filter(|name| self.has_values && !name.is_empty()).cloned()
         });
-        let mut node = Node { id, name, board, sheet: self.sheet, values, stamp: None };
+        let mut node = Node { id, name, board, sheet: self.sheet, values, left_out, stamp: None };
         node.stamp = stamp(&mut node);
         Some(node)
     }
 
     fn board(&self, problems: &mut Vec<String>) -> Option<Board> {
-        let of_sheet = self.sheet.as_ref().map(Sheet::board);
         let Some(address) = self.address else {
-            return of_sheet.filter(|_| self.has_values);
+            let sheet = self.sheet.as_ref().filter(|_| self.has_values);
+            return match sheet?.board() {
+                Ok(board) => Some(board),
+                Err(why) => {
+                    problems.push(why);
+                    None
+                }
+            };
         };
-        let kind = of_sheet.map(|board| match board {
-            Board::Address(Address { vendor_id, product_code, .. })
-            | Board::Kind { vendor_id, product_code, .. } => (vendor_id, product_code),
-        });
-        if let (Some(sheet), Some((vendor_id, product_code))) = (&self.sheet, kind)
-            && (vendor_id, product_code) != (address.vendor_id, address.product_code)
-        {
-            problems.push(format!(
-                "{} is the data sheet of {vendor_id:08X}:{product_code:08X}, and not of {}",
-                sheet.path.display(),
-                address::text(&address)
-            ));
+        if let Some(sheet) = &self.sheet {
+            let [vendor_id, product_code, _] = sheet.eds.identity();
+            let kind = [vendor_id, product_code, None, None];
+            if !address::is_of(&address, kind) {
+                problems.push(format!(
+                    "{} is the data sheet of {}, and not of {}",
+                    sheet.path.display(),
+                    address::kind_text(&kind[..2]),
+                    address::text(&address)
+                ));
+            }
         }
         Some(Board::Address(address))
     }

@@ -1,14 +1,13 @@
 //! The data sheet of a board: which board it is, and which bytes a value of the user is.
 
 use std::{
-    collections::BTreeMap,
-    fs,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
 };
 
 use can_bus::{
     adapter,
-    eds::{self, Eds, Entry, Kind},
+    eds::{self, Eds, Entry, Fault, Kind},
 };
 use canopen_node::{BitRate, NodeId, lss::Address};
 use toml::Value as Toml;
@@ -20,19 +19,22 @@ const SETTINGS_BY_SDO: (u16, &str) = (0x2FF0, "Node-ID and bit rate");
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Board {
     Address(Address),
-    /// The only board of this kind; 0: of any revision.
-    Kind {
-        vendor_id: u32,
-        product_code: u32,
-        revision_number: u32,
-    },
+    /// The only board of this kind: vendor-ID, product code, revision number and serial number, as far as they are known.
+    Kind([Option<u32>; 4]),
 }
 
 /// A data sheet, and its file.
 pub struct Sheet {
     pub eds: Eds,
-    pub text: String,
     pub path: PathBuf,
+}
+
+/// A value of a file that is not written.
+pub struct LeftOut {
+    /// Where it stands, and why.
+    pub words: String,
+    /// The board may have it all the same.
+    pub value: Option<(eds::Address, Vec<u8>)>,
 }
 
 /// `2101:1`, or `2100` for an object with one value.
@@ -44,23 +46,18 @@ pub fn address_words((index, sub_index): eds::Address, sheet: Option<&Sheet>) ->
     }
 }
 
-pub fn read_text(path: &Path) -> Result<String, String> {
-    let bytes = fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    // Older files are in Latin-1.
-    let latin = |bytes: Vec<u8>| bytes.into_iter().map(char::from).collect();
-    let text = String::from_utf8(bytes).unwrap_or_else(|error| latin(error.into_bytes()));
-    // Editors of Windows begin a file with a byte order mark.
-    Ok(text.trim_start_matches('\u{FEFF}').to_owned())
+/// The PDO that a parameter belongs to, by the index of its communication parameters.
+pub fn pdo((index, _): eds::Address) -> Option<u16> {
+    matches!(index, 0x1400..=0x1BFF).then_some(index & !0x200)
 }
 
 impl Sheet {
     pub fn read(path: &Path) -> Result<Self, String> {
-        let text = read_text(path)?;
-        let eds = Eds::parse(&text);
+        let eds = Eds::read(path)?;
         if eds.section("DeviceInfo").is_none() {
             return Err(format!("{} is no data sheet: there is no [DeviceInfo]", path.display()));
         }
-        Ok(Self { eds, text, path: path.to_owned() })
+        Ok(Self { eds, path: path.to_owned() })
     }
 
     /// The section on the place of the device in its network. CiA 306 spells it with one m.
@@ -69,37 +66,57 @@ impl Sheet {
         section("DeviceComissioning").or_else(|| section("DeviceCommissioning"))
     }
 
-    fn commissioning_number(&self, key: &str) -> Option<i128> {
-        let number = |section| self.eds.number(section, key);
-        number("DeviceComissioning").or_else(|| number("DeviceCommissioning"))
+    /// A number there, if there is one.
+    fn commissioning_number(&self, key: &str) -> Result<Option<u32>, String> {
+        for section in ["DeviceComissioning", "DeviceCommissioning"] {
+            let mut faults = self.eds.faults.iter();
+            let is_it = |fault: &&Fault| {
+                let is_key = |twice: &String| twice.eq_ignore_ascii_case(key);
+                fault.section.eq_ignore_ascii_case(section)
+                    && fault.twice.as_ref().is_some_and(is_key)
+            };
+            if let Some(fault) = faults.find(is_it) {
+                return Err(fault.to_string());
+            }
+            let text = self.eds.section(section).and_then(|keys| keys.get(&key.to_lowercase()));
+            if let Some(text) = text.filter(|text| !text.is_empty()) {
+                let number =
+                    self.eds.number(section, key).and_then(|number| number.try_into().ok());
+                return number.map(Some).ok_or_else(|| format!("{key}={text} is no number"));
+            }
+        }
+        Ok(None)
     }
 
     pub fn node_id(&self) -> Result<NodeId, String> {
-        let id = self.commissioning_number("NodeID").and_then(|id| u8::try_from(id).ok());
+        let id = self.commissioning_number("NodeID")?.and_then(|id| u8::try_from(id).ok());
         id.and_then(NodeId::new).ok_or_else(|| {
             "NodeID in [DeviceComissioning] must say which node-ID the board is to have, 1 to 127".into()
         })
     }
 
     pub fn bit_rate(&self) -> Result<Option<BitRate>, String> {
-        let Some(rate) = self.commissioning_number("Baudrate") else { return Ok(None) };
-        adapter::bit_rate(&rate.to_string()).map(Some)
+        match self.commissioning_number("Baudrate")? {
+            None | Some(0) => Ok(None),
+            Some(rate) => adapter::bit_rate(&rate.to_string()).map(Some),
+        }
     }
 
-    pub fn board(&self) -> Board {
-        let of_device = |key| {
-            let number = self.eds.number("DeviceInfo", key);
-            number.and_then(|number| u32::try_from(number).ok()).unwrap_or(0)
-        };
-        let (vendor_id, product_code) = (of_device("VendorNumber"), of_device("ProductNumber"));
-        let revision_number = of_device("RevisionNumber");
-        let serial_number = self.commissioning_number("LSS_SerialNumber");
-        match serial_number.and_then(|number| u32::try_from(number).ok()) {
-            Some(serial_number @ 1..) => {
-                Board::Address(Address { vendor_id, product_code, revision_number, serial_number })
+    pub fn board(&self) -> Result<Board, String> {
+        let [vendor_id, product_code, revision_number] = self.eds.identity();
+        let serial_number = self.commissioning_number("LSS_SerialNumber")?;
+        let is_given = |number: &u32| *number != 0;
+        Ok(match (vendor_id, product_code, revision_number, serial_number.filter(is_given)) {
+            (Some(vendor), Some(product), Some(revision), Some(serial)) => {
+                Board::Address(Address::from([vendor, product, revision, serial]))
             }
-            _ => Board::Kind { vendor_id, product_code, revision_number },
-        }
+            (_, _, revision_number, serial_number) => Board::Kind([
+                vendor_id,
+                product_code,
+                revision_number.filter(is_given),
+                serial_number,
+            ]),
+        })
     }
 
     /// Whether a value configures the board, and neither acts nor belongs to LSS.
@@ -114,17 +131,45 @@ impl Sheet {
             && !is_settings
     }
 
-    /// The values of a configuration file.
-    pub fn values(&self, node: u8, problems: &mut Vec<String>) -> BTreeMap<eds::Address, Vec<u8>> {
+    /// The values of a configuration file, and those that cannot be written.
+    pub fn values(&self, node: u8) -> (BTreeMap<eds::Address, Vec<u8>>, Vec<LeftOut>) {
         let mut values = BTreeMap::new();
-        for entry in self.eds.entries().filter(|entry| self.configures(entry)) {
+        let words = |words: String| format!("{} {words}", self.path.display());
+        let lost = self.eds.faults.iter().filter(|fault| fault.is_wanted);
+        let of_fault = |fault: &Fault| LeftOut { words: words(fault.to_string()), value: None };
+        let mut left_out: Vec<LeftOut> = lost.clone().map(of_fault).collect();
+        // Half a PDO would be another one.
+        let mut torn: BTreeSet<u16> =
+            lost.filter_map(|fault| pdo(eds::address(&fault.section)?)).collect();
+        for entry in self.eds.entries() {
             let Some(text) = &entry.value else { continue };
-            match self.bytes(entry, text, node) {
-                Ok(bytes) => _ = values.insert(entry.address, bytes),
-                Err(why) => problems.push(why),
-            }
+            let (why, value) = match self.bytes(entry, text, node) {
+                Ok(bytes) if self.configures(entry) => {
+                    values.insert(entry.address, bytes);
+                    continue;
+                }
+                Ok(bytes) => {
+                    let is_read_only = !entry.can_be_written();
+                    let why = if is_read_only { "can only be read" } else { "is no value to set" };
+                    (format!("{} {why}", self.words(entry)), Some((entry.address, bytes)))
+                }
+                Err(why) => {
+                    torn.extend(pdo(entry.address));
+                    (why, None)
+                }
+            };
+            let words = words(format!("line {}: {why}", entry.line));
+            left_out.push(LeftOut { words, value });
         }
-        values
+        let is_torn = |address: &eds::Address, _: &mut _| {
+            pdo(*address).is_some_and(|pdo| torn.contains(&pdo))
+        };
+        for (address, _) in values.extract_if(.., is_torn) {
+            let name = address_words(address, Some(self));
+            left_out
+                .push(LeftOut { words: words(format!("{name}, a part of this PDO")), value: None });
+        }
+        (values, left_out)
     }
 
     /// A value of the table: where it is, and its bytes.
@@ -146,7 +191,9 @@ impl Sheet {
         }
         let text = match (value, entry.kind()) {
             (Toml::String(text), _) => text.clone(),
-            (_, Kind::Text | Kind::Octets) => return Err(format!("{words}: write it in quotes")),
+            (_, Kind::Text | Kind::Unicode | Kind::Octets) => {
+                return Err(format!("{words}: write it in quotes"));
+            }
             (Toml::Integer(number), _) => number.to_string(),
             (Toml::Float(number), Kind::Real) => number.to_string(),
             (Toml::Boolean(is_set), Kind::Unsigned) => u8::from(*is_set).to_string(),
@@ -196,6 +243,9 @@ impl Sheet {
     }
 
     fn no_value(&self, entry: &Entry, text: &str) -> String {
+        if entry.kind() == Kind::Domain {
+            return format!("{}: `lss apply` writes no DOMAIN, here {text}", self.words(entry));
+        }
         format!("{}: {text} is no {}", self.words(entry), entry.type_name())
     }
 
@@ -214,10 +264,14 @@ impl Sheet {
             let is_fixed =
                 matches!(index, 0x1400..=0x15FF | 0x1800..=0x19FF) && matches!(sub_index, 3 | 6);
             if is_mapping && !values.contains_key(&(index, 0)) {
-                problems.push(format!(
-                    "{}: {index:04X}:0 is missing: the number of mapped objects belongs to a mapping",
-                    address_words(address, Some(self))
-                ));
+                let count = self.eds.get((index, 0)).and_then(|count| count.default(node));
+                match count.filter(|count| count.first().is_some_and(|count| *count >= sub_index)) {
+                    Some(count) => _ = values.insert((index, 0), count),
+                    None => problems.push(format!(
+                        "{}: {index:04X}:0 is missing: the number of mapped objects belongs to a mapping",
+                        address_words(address, Some(self))
+                    )),
+                }
             }
             let cob_id = (if is_mapping { index - 0x200 } else { index }, 1);
             if !is_mapping && !is_fixed || values.contains_key(&cob_id) {

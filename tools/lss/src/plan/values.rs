@@ -6,7 +6,10 @@ use std::{collections::BTreeSet, time::Duration};
 use can_bus::{eds, sdo};
 use canopen_node::{NodeId, lss::Address, nmt::State};
 
-use super::node::{Node, STAMP};
+use super::{
+    node::{Node, STAMP},
+    sheet::{LeftOut, pdo},
+};
 use crate::{failure::Failure, network::board::reset, session::Session};
 
 /// The value that stores all parameters, as it is written to 1010h.
@@ -17,6 +20,24 @@ const STORE_WAIT: Duration = Duration::from_secs(5);
 const OFF: u32 = 1 << 31;
 /// The COB-ID of SYNC: the node is its producer.
 const PRODUCER: u32 = 1 << 30;
+
+/// The NMT commands start and enter pre-operational.
+const START: u8 = 1;
+const ENTER_PRE_OPERATIONAL: u8 = 128;
+/// The errors of SDO with which the server answers begin with it.
+const ABORT: &str = "abort ";
+/// The one for a read of a value that can only be written.
+const WRITE_ONLY: &str = "abort 06010001";
+
+/// How the nodes come to their values.
+#[derive(Clone, Copy)]
+pub struct Manner {
+    /// They are stored in any case.
+    pub stores_again: bool,
+    pub trusts_stamps: bool,
+    /// No node goes to pre-operational for its PDOs.
+    pub keeps_state: bool,
+}
 
 /// A value that is not as it must be.
 #[derive(Clone, Debug)]
@@ -47,6 +68,10 @@ pub struct Values {
     pub changes: Vec<Change>,
     /// The stamp is another one, or there is none where one must be.
     pub lacks_stamp: bool,
+    /// The wanted ones that the board cannot get, and why.
+    pub left_out: Vec<String>,
+    /// The board lacks some of them: no stamp says that it has all.
+    pub is_stamp_wrong: bool,
 }
 
 impl Values {
@@ -74,11 +99,19 @@ pub fn compare(
     trusts_stamp: bool,
 ) -> Result<Values, Failure> {
     let mut values = Values { are_compared: true, ..Values::default() };
+    for left_out in &node.left_out {
+        values.left_out.extend(is_left_out(session, id, node, left_out)?);
+    }
     if let Some(stamp) = node.stamp {
         for (sub_index, number) in (1..).zip(stamp.numbers) {
-            let found = sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)?
-                .map_err(|why| unreadable(node, (STAMP, sub_index), &why))?;
-            if found != number {
+            let found = match sdo::read_number(&mut session.bus, id.get(), STAMP, sub_index)? {
+                Ok(found) => Some(found),
+                Err(why) => {
+                    values.leave_out(node, (STAMP, sub_index), &why)?;
+                    None
+                }
+            };
+            if found != Some(number) {
                 values.lacks_stamp = true;
                 break;
             }
@@ -94,25 +127,60 @@ pub fn compare(
         let entry = node.entry(*address);
         let found = match entry.is_some_and(|entry| entry.can_be_read()) {
             false => None,
-            true => Some(
-                sdo::read(&mut session.bus, id.get(), address.0, address.1)?
-                    .map_err(|why| unreadable(node, *address, &why))?,
-            ),
+            true => match sdo::read(&mut session.bus, id.get(), address.0, address.1)? {
+                Ok(found) => Some(found),
+                Err(why) if why == WRITE_ONLY => None,
+                Err(why) => {
+                    values.leave_out(node, *address, &why)?;
+                    continue;
+                }
+            },
         };
         if !found.as_ref().is_some_and(|found| node.is_as_wanted(*address, found)) {
             values.changes.push(Change { address: *address, found, wanted: wanted.clone() });
         }
     }
+    values.lacks_stamp &= !values.is_stamp_wrong;
     Ok(values)
 }
 
-fn unreadable(node: &Node, address: eds::Address, why: &str) -> Failure {
-    let words = sdo::in_words(why);
-    let hint = match why {
-        "no answer" => ". Is the node stopped (NMT)? `lss list` shows it",
-        _ => ". Is it the data sheet of this board?",
+impl Values {
+    /// Leaves a value out that the server does not let read; without an answer of it the board is left alone.
+    fn leave_out(&mut self, node: &Node, address: eds::Address, why: &str) -> Result<(), Failure> {
+        let words = format!("{} cannot be read: {}", node.value_words(address), sdo::in_words(why));
+        match why.starts_with(ABORT) {
+            true => {
+                self.left_out.push(words + ". Is it the data sheet of this board?");
+                self.is_stamp_wrong = true;
+                Ok(())
+            }
+            false => {
+                Err(Failure::Refused(words + ". Is the node stopped (NMT)? `lss list` shows it"))
+            }
+        }
+    }
+}
+
+/// The words for a value that is left out, unless the board has it.
+fn is_left_out(
+    session: &mut Session<'_>,
+    id: NodeId,
+    node: &Node,
+    LeftOut { words, value }: &LeftOut,
+) -> Result<Option<String>, Failure> {
+    let Some((address, wanted)) = value else { return Ok(Some(words.clone())) };
+    let Some(entry) = node.entry(*address).filter(|entry| entry.can_be_read()) else {
+        return Ok(Some(words.clone()));
     };
-    Failure::Refused(format!("{} cannot be read: {words}{hint}", node.value_words(address)))
+    Ok(match sdo::read(&mut session.bus, id.get(), address.0, address.1)? {
+        Ok(found) if node.is_same(*address, &found, wanted) => None,
+        // It may follow the node-ID.
+        _ if id != node.id => None,
+        Ok(found) => {
+            Some(format!("{words}, and is {}, not {}", entry.text(&found), entry.text(wanted)))
+        }
+        Err(why) => Some(format!("{words}: {}", sdo::in_words(&why))),
+    })
 }
 
 /// What was done with a node.
@@ -122,32 +190,36 @@ pub struct Done {
     pub is_stored: bool,
     /// The node was reset, and has its values since then.
     pub is_verified: bool,
-    /// The NMT state before the reset was operational.
-    pub was_operational: bool,
+    /// The NMT state before was another one, or is not known.
+    pub is_pre_operational: bool,
+    /// The values that the board has not got, and why.
+    pub left_out: Vec<String>,
 }
 
-/// Brings the node to the wanted values. With `stores_again` they are stored in any case.
+/// Brings the node to the wanted values.
 pub fn apply(
     session: &mut Session<'_>,
     id: NodeId,
     address: &Address,
     node: &Node,
-    stores_again: bool,
-    trusts_stamps: bool,
+    manner: Manner,
 ) -> Result<Done, Failure> {
-    let values = compare(session, id, node, trusts_stamps)?;
+    let mut values = compare(session, id, node, manner.trusts_stamps)?;
+    let left_out = std::mem::take(&mut values.left_out);
     let has_none = node.values.is_empty() && node.stamp.is_none();
-    let mut target = Target { session, id, node };
-    match values.are_as_wanted() {
-        _ if has_none => Ok(Done::default()),
-        true if !stores_again || !node.can_store() => Ok(Done::default()),
+    let state = session.bus.states.get(&id.get()).copied();
+    let mut target = Target { session, id, node, manner, state, is_paused: false, left_out };
+    let done = match values.are_as_wanted() {
+        _ if has_none => Done::default(),
+        true if !manner.stores_again || !node.can_store() => Done::default(),
         // Nobody knows whether a run that was cut off has stored them, or their stamp.
         true => {
             target.store()?;
-            Ok(Done { is_stored: true, ..Done::default() })
+            Done { is_stored: true, ..Done::default() }
         }
-        false => target.change(address, &values.changes),
-    }
+        false => target.change(address, &values)?,
+    };
+    Ok(Done { left_out: target.left_out, ..done })
 }
 
 /// A node whose values change.
@@ -155,28 +227,51 @@ struct Target<'s, 'a> {
     session: &'s mut Session<'a>,
     id: NodeId,
     node: &'s Node,
+    manner: Manner,
+    /// The NMT state before, if it was heard.
+    state: Option<u8>,
+    /// The node was brought to pre-operational.
+    is_paused: bool,
+    left_out: Vec<String>,
+}
+
+/// A write to a PDO, and the value that was there.
+struct Step {
+    address: eds::Address,
+    wanted: Vec<u8>,
+    found: Option<Vec<u8>>,
 }
 
 impl Target<'_, '_> {
-    fn change(&mut self, address: &Address, changes: &[Change]) -> Result<Done, Failure> {
-        self.write_all(changes)?;
+    fn change(&mut self, address: &Address, values: &Values) -> Result<Done, Failure> {
+        let refused = self.write_all(&values.changes)?;
+        let is_written = |change: &&Change| !refused.contains(&change.address);
+        let written: Vec<&Change> = values.changes.iter().filter(is_written).collect();
         let node = self.node;
-        let mut done = Done { written: changes.len(), ..Done::default() };
-        if node.can_store() {
+        let mut done = Done { written: written.len(), ..Done::default() };
+        let was_operational = self.state == Some(State::Operational as u8);
+        if node.can_store() && (!written.is_empty() || values.lacks_stamp && refused.is_empty()) {
             self.store()?;
             (done.is_stored, done.is_verified) = (true, true);
-            let state = self.session.bus.states.get(&self.id.get());
-            done.was_operational = state == Some(&(State::Operational as u8));
+            done.is_pre_operational = was_operational;
             self.session.progress.say(|| format!("{}: reset", node.words()));
             reset(self.session, self.id, address)?;
+        } else if self.is_paused && was_operational {
+            self.session.bus.nmt(START, self.id.get())?;
+        } else {
+            done.is_pre_operational = self.is_paused;
         }
-        for Change { address, wanted, .. } in changes {
+        for Change { address, wanted, .. } in written {
             let Some(entry) = node.entry(*address).filter(|entry| entry.can_be_read()) else {
                 continue;
             };
             let words = node.value_words(*address);
-            let found = sdo::read(&mut self.session.bus, self.id.get(), address.0, address.1)?
-                .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?;
+            let found = match sdo::read(&mut self.session.bus, self.id.get(), address.0, address.1)?
+            {
+                Err(why) if why == WRITE_ONLY => continue,
+                found => found
+                    .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?,
+            };
             if !node.is_as_wanted(*address, &found) {
                 let (found, wanted) = (entry.text(&found), entry.text(wanted));
                 return Err(Failure::Refused(match done.is_stored {
@@ -189,7 +284,7 @@ impl Target<'_, '_> {
             }
         }
         // Only now, since it proves that the values are there after a reset.
-        if let Some(stamp) = node.stamp {
+        if let Some(stamp) = node.stamp.filter(|_| refused.is_empty() && !values.is_stamp_wrong) {
             for (sub_index, number) in (1..).zip(stamp.numbers) {
                 self.write((STAMP, sub_index), &number.to_le_bytes())?;
             }
@@ -198,56 +293,74 @@ impl Target<'_, '_> {
         Ok(done)
     }
 
-    /// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last.
-    fn write_all(&mut self, changes: &[Change]) -> Result<(), Failure> {
-        // A PDO by the index of its communication parameters.
-        let pdo = |change: &Change| match change.address.0 {
-            index @ (0x1400..=0x15FF | 0x1800..=0x19FF) => Some(index),
-            index @ (0x1600..=0x17FF | 0x1A00..=0x1BFF) => Some(index - 0x200),
-            _ => None,
-        };
+    /// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last. Returns what the node refuses.
+    fn write_all(&mut self, changes: &[Change]) -> Result<BTreeSet<eds::Address>, Failure> {
+        let pdo = |change: &Change| pdo(change.address);
         let node = self.node;
+        let mut refused = BTreeSet::new();
         let others = changes.iter().filter(|change| pdo(change).is_none());
         for (number, change) in (1..).zip(others) {
             let count = changes.len();
             self.session
                 .progress
                 .say(|| format!("{}: writing value {number} of {count}", node.words()));
-            self.write_change(change)?;
+            let outcome = self.write_change(change);
+            refused.extend(self.is_left_out(outcome)?.then_some(change.address));
         }
-        for index in changes.iter().filter_map(pdo).collect::<BTreeSet<u16>>() {
+        let pdos: BTreeSet<u16> = changes.iter().filter_map(pdo).collect();
+        // Many nodes let their PDOs change only there.
+        let is_there = self.state == Some(State::PreOperational as u8);
+        if !pdos.is_empty() && !is_there && !self.manner.keeps_state {
+            self.session.bus.nmt(ENTER_PRE_OPERATIONAL, self.id.get())?;
+            self.is_paused = true;
+        }
+        for index in pdos {
             let of_it = changes.iter().filter(|change| pdo(change) == Some(index));
             let changes: Vec<&Change> = of_it.collect();
             self.session.progress.say(|| format!("{}: PDO {index:04X}", node.words()));
             // Half a PDO would be on the bus otherwise.
-            let id = self.id;
-            self.session
-                .uninterrupted(|session| Target { session, id, node }.write_pdo(index, &changes))?;
+            self.session.bus.check_interrupt()?;
+            self.session.bus.hold_interrupt(true);
+            let outcome = self.write_pdo(index, &changes);
+            self.session.bus.hold_interrupt(false);
+            if self.is_left_out(outcome)? {
+                refused.extend(changes.iter().map(|change| change.address));
+            }
         }
-        Ok(())
+        Ok(refused)
+    }
+
+    /// Notes what the node refuses; a board that does not answer is a failure.
+    fn is_left_out(&mut self, outcome: Result<(), Failure>) -> Result<bool, Failure> {
+        match outcome {
+            Err(Failure::Refused(words)) => self.left_out.push(words),
+            outcome => return outcome.map(|()| false),
+        }
+        Ok(true)
     }
 
     /// Writes a value. A COB-ID that is in use is switched off first (CiA 301, 1005h and 1014h).
     fn write_change(&mut self, change: &Change) -> Result<(), Failure> {
         let Change { address, found, wanted } = change;
-        let found = found.as_deref().and_then(|found| found.try_into().ok());
-        let off = match (address, found.map(u32::from_le_bytes)) {
+        let number = found.as_deref().and_then(|found| found.try_into().ok());
+        let off = match (address, number.map(u32::from_le_bytes)) {
             ((0x1014, 0), Some(found)) if found & OFF == 0 => Some(found | OFF),
             ((0x1005, 0), Some(found)) if found & PRODUCER != 0 => Some(found & !PRODUCER),
             _ => None,
         };
-        if let Some(off) = off {
-            self.write(*address, &off.to_le_bytes())?;
-        }
-        self.write(*address, wanted)
+        let Some(off) = off else { return self.write(*address, wanted) };
+        self.write(*address, &off.to_le_bytes())?;
+        self.write(*address, wanted).or_else(|failure| {
+            let restored = self.write(*address, found.as_deref().unwrap_or_default());
+            or_off(failure, restored, &self.node.value_words(*address))
+        })
     }
 
-    /// Writes what differs in a PDO with these communication parameters (CiA 301, 7.5.2.36 and 7.5.2.38).
+    /// Writes what differs in a PDO with these communication parameters (CiA 301, 7.5.2.36 and 7.5.2.38). If the node
+    /// refuses a part, the PDO is as before.
     fn write_pdo(&mut self, index: u16, changes: &[&Change]) -> Result<(), Failure> {
-        let node = self.node;
         let cob_id = (index, 1);
-        let mapping = index + 0x200;
-        let Some(wanted) = node.values.get(&cob_id) else {
+        let Some(wanted) = self.node.values.get(&cob_id) else {
             // Neither mapping nor COB-ID are wanted.
             return changes
                 .iter()
@@ -258,23 +371,47 @@ impl Target<'_, '_> {
             *top |= 0x80;
         }
         self.write(cob_id, &off)?;
+        let steps = self.steps(index, changes);
+        for (at, step) in steps.iter().enumerate() {
+            let Err(failure) = self.write(step.address, &step.wanted) else { continue };
+            let is_undone = |(number, step): &(usize, &Step)| {
+                let is_end = step.address == cob_id || step.address == (index + 0x200, 0) && at > 0;
+                *number < at || is_end
+            };
+            let mut undone = steps.iter().enumerate().filter(is_undone);
+            let restored = undone.try_for_each(|(_, step)| {
+                let unknown = || Failure::Refused(String::new());
+                self.write(step.address, step.found.as_ref().ok_or_else(unknown)?)
+            });
+            return or_off(failure, restored, &format!("PDO {index:04X}"));
+        }
+        Ok(())
+    }
+
+    /// What is written to a PDO that is off, its COB-ID in the end. What does not differ is there as it is wanted.
+    fn steps(&self, index: u16, changes: &[&Change]) -> Vec<Step> {
+        let wanted = &self.node.values;
+        let step = |address: eds::Address| {
+            let change = changes.iter().find(|change| change.address == address);
+            let wanted = wanted.get(&address).cloned().unwrap_or_default();
+            let found = change.map_or(Some(wanted.clone()), |change| change.found.clone());
+            Step { address, wanted, found }
+        };
+        let mut steps = Vec::new();
+        let mapping = index + 0x200;
         if changes.iter().any(|change| change.address.0 == mapping) {
-            self.write((mapping, 0), &[0])?;
-            let count = node.values.get(&(mapping, 0)).cloned().unwrap_or_default();
+            steps.push(Step { address: (mapping, 0), wanted: vec![0], found: Some(vec![0]) });
+            let count = step((mapping, 0));
             // Those beyond the number of mapped objects need not exist.
-            let last = count.first().copied().unwrap_or(0);
-            let mapped = node.values.range((mapping, 1)..=(mapping, 0xFF));
-            for (address, bytes) in mapped.take_while(|(address, _)| address.1 <= last) {
-                self.write(*address, bytes)?;
-            }
-            self.write((mapping, 0), &count)?;
+            let last = count.wanted.first().copied().unwrap_or(0);
+            let mapped = wanted.range((mapping, 1)..=(mapping, 0xFF)).map(|(address, _)| *address);
+            steps.extend(mapped.take_while(|address| address.1 <= last).map(step));
+            steps.push(count);
         }
-        for change in changes {
-            if change.address.0 == index && change.address != cob_id {
-                self.write(change.address, &change.wanted)?;
-            }
-        }
-        self.write(cob_id, wanted)
+        let others = changes.iter().map(|change| change.address);
+        steps.extend(others.filter(|address| address.0 == index && address.1 != 1).map(step));
+        steps.push(step((index, 1)));
+        steps
     }
 
     fn store(&mut self) -> Result<(), Failure> {
@@ -286,14 +423,28 @@ impl Target<'_, '_> {
     fn write(&mut self, address: eds::Address, bytes: &[u8]) -> Result<(), Failure> {
         let bus = &mut self.session.bus;
         sdo::download(bus, self.id.get(), address, bytes, STORE_WAIT)?.map_err(|why| {
-            let why = sdo::in_words(&why);
-            Failure::Refused(match (address, self.node.entry(address)) {
-                ((0x1010, _), _) => format!("it cannot store: {why}"),
+            let meaning = sdo::in_words(&why);
+            let words = match (address, self.node.entry(address)) {
+                ((0x1010, _), _) => format!("it cannot store: {meaning}"),
                 (_, entry) => {
                     let text = entry.map_or_else(String::new, |entry| entry.text(bytes));
-                    format!("{} cannot be {text}: {why}", self.node.value_words(address))
+                    format!("{} cannot be {text}: {meaning}", self.node.value_words(address))
                 }
-            })
+            };
+            match why.starts_with(ABORT) {
+                true => Failure::Refused(words),
+                false => Failure::NoAnswer(words),
+            }
         })
     }
+}
+
+/// Why a part was not written, and whether `all` that was off meanwhile was `restored`.
+fn or_off(failure: Failure, restored: Result<(), Failure>, all: &str) -> Result<(), Failure> {
+    let now = match restored {
+        Ok(()) => "is as before",
+        Err(stop @ Failure::Stop(_)) => return Err(stop),
+        Err(_) => "stays off",
+    };
+    Err(Failure::Refused(format!("{}. {all} {now}", failure.of_board()?)))
 }

@@ -318,7 +318,8 @@ fn what_a_board_refuses_is_told_with_its_reason() {
     // The data sheet has no limit for these.
     let (outcome, _) = wire.apply(&file("refused", &node_with(5, 0, "\"2101:1\" = 3.5")), "");
     assert_eq!(outcome.code, 1);
-    let why = "node 5: 2101:1 Calibration of the temperature.Gain cannot be 3.5: the value is too high (abort 06090031)";
+    let why = "node 5: left out: 2101:1 Calibration of the temperature.Gain cannot be 3.5: the value is too high (abort \
+         06090031)";
     assert!(outcome.error.contains(why), "{}", outcome.error);
 }
 

@@ -18,6 +18,7 @@ mod program;
 mod replace;
 mod services;
 mod set_rate;
+mod sheets;
 mod slcan;
 mod update;
 mod watch;

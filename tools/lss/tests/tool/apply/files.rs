@@ -31,7 +31,7 @@ fn wrong_files_are_told_before_anything_is_sent() {
             sheet("\"COB-ID used by TPDO\" = 5"),
             "several values are called \"COB-ID used by TPDO\": 1800:1 ",
         ),
-        (sheet("\"1A00:1\" = 0x60000108"), "1A00:0 is missing: the number of mapped objects"),
+        (sheet("\"1A02:1\" = 0x60000108"), "1A02:0 is missing: the number of mapped objects"),
         (
             node(5, 0) + "[node.values]\n\"2100\" = 1",
             "node 5: values need the data sheet of the board: eds = ",
