@@ -146,9 +146,13 @@ impl FromStr for Place {
     }
 }
 
-/// The bit rate with this number of kbit/s.
+/// The bit rate with this number of kbit/s: `125`, `125k` or `125000`.
 pub fn bit_rate(kbit: &str) -> Result<BitRate, String> {
-    let rate = BitRate::ALL.into_iter().find(|rate| rate.kbit_per_s().to_string() == kbit);
+    let is_it = |rate: &BitRate| {
+        let rest = kbit.strip_prefix(&rate.kbit_per_s().to_string());
+        rest.is_some_and(|rest| ["", "k", "000"].contains(&rest))
+    };
+    let rate = BitRate::ALL.into_iter().find(is_it);
     rate.ok_or_else(|| {
         format!("{kbit} is no bit rate of CiA 301 in kbit/s: 1000, 800, 500, 250, 125, 50, 20, 10")
     })
@@ -188,6 +192,30 @@ impl Place {
             }
         })
     }
+}
+
+/// The adapters that this computer has, with what is known of each: USB devices with a serial port, and interfaces of
+/// SocketCAN.
+#[cfg(feature = "adapters")]
+pub fn list() -> Vec<(Place, String)> {
+    use serialport::SerialPortType::UsbPort;
+    let ports = serialport::available_ports().unwrap_or_default().into_iter();
+    let usb = ports.filter_map(|port| {
+        let UsbPort(usb) = port.port_type else { return None };
+        let words = usb.product.unwrap_or_else(|| format!("{:04X}:{:04X}", usb.vid, usb.pid));
+        Some((Place::Serial { device: port.port_name, baud: BAUD }, words))
+    });
+    /// ARPHRD_CAN of Linux.
+    const CAN: &str = "280";
+    let interfaces = std::fs::read_dir("/sys/class/net").into_iter().flatten().flatten();
+    let is_can = |folder: &std::path::Path| {
+        std::fs::read_to_string(folder.join("type")).is_ok_and(|number| number.trim() == CAN)
+    };
+    let can = interfaces.filter(|entry| is_can(&entry.path())).map(|entry| {
+        let interface = entry.file_name().to_string_lossy().into_owned();
+        (Place::SocketCan { interface, fixed_rate: None }, "SocketCAN".to_owned())
+    });
+    usb.chain(can).collect()
 }
 
 #[cfg(test)]

@@ -343,6 +343,14 @@ impl Eds {
     }
 }
 
+/// The index and the sub-index in `2101:1`, `2101sub1`, `2100` or `0x2100`, as a person writes them.
+pub fn parts(text: &str) -> Option<Address> {
+    let digits = text.strip_prefix("0x").unwrap_or(text);
+    let (index, sub_index) =
+        digits.split_once(':').or_else(|| digits.split_once("sub")).unwrap_or((digits, "0"));
+    Some((u16::from_str_radix(index, 16).ok()?, u8::from_str_radix(sub_index, 16).ok()?))
+}
+
 /// The address in the name of a section such as `1018sub4` or `1017`.
 pub fn address(name: &str) -> Option<Address> {
     let (index, sub_index) = name.split_once("sub").unwrap_or((name, "0"));

@@ -125,7 +125,7 @@ impl Timeline {
     /// A drawing of this width and height, with its title.
     pub fn new([width, height]: [f64; 2], title: &str, plot: Plot, scale: Scale) -> Self {
         let svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" font-family=\"sans-serif\" \
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} {height:.0}\" font-family=\"sans-serif\" \
              font-size=\"12\">\n<rect x=\"0.5\" y=\"0.5\" width=\"{:.0}\" height=\"{:.0}\" rx=\"6\" fill=\"white\" \
              stroke=\"#ccc\"/>\n<text x=\"16\" y=\"30\" font-size=\"18\">{}</text>\n",
             width - 1.0,

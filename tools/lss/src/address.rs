@@ -50,7 +50,7 @@ pub fn address(text: &str) -> Result<Address, String> {
 
 /// A number in decimal, or in hexadecimal after `0x`.
 pub fn number(text: &str) -> Result<u32, String> {
-    let parsed = match text.strip_prefix("0x") {
+    let parsed = match text.strip_prefix("0x").or(text.strip_prefix("0X")) {
         Some(digits) => u32::from_str_radix(digits, 16),
         None => text.parse(),
     };
@@ -74,7 +74,8 @@ pub fn byte(text: &str) -> Result<u8, String> {
 
 /// A node-ID.
 pub fn node_id(text: &str) -> Result<NodeId, String> {
-    text.parse().ok().and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
+    let id = number(text).ok().and_then(|id| id.try_into().ok());
+    id.and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
 }
 
 /// A board that is named by its node-ID or by its LSS address.
@@ -141,6 +142,7 @@ mod tests {
     fn a_node_id_may_be_none() {
         assert_eq!(assigned("none"), Ok(Assigned(None)));
         assert_eq!(assigned("127"), Ok(Assigned(NodeId::new(127))));
+        assert_eq!(assigned("0x10"), Ok(Assigned(NodeId::new(16))));
         for wrong in ["0", "128", "255", ""] {
             assert!(assigned(wrong).is_err(), "{wrong}");
         }

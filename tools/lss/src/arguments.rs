@@ -7,7 +7,16 @@ use canopen_node::{BitRate, NodeId, lss::Address};
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
 
-use crate::address::{self, Assigned, Which};
+use crate::{
+    address::{self, Assigned, Which},
+    commands::data_type,
+};
+
+/// The commands that one rarely needs.
+const EXPERTS: &str = "For experts:
+  identify    Ask whether any board has an LSS address within ranges; changes no state
+  store       Let a board store its node-ID and its bit rate
+  raw         Send one LSS request and print the answers";
 
 /// Commission a CANopen network: LSS (CiA 305) through a CAN adapter
 ///
@@ -20,14 +29,16 @@ use crate::address::{self, Assigned, Which};
     name = "lss",
     version = concat!(env!("CARGO_PKG_VERSION"), " (commit ", env!("COMMIT"), ")"),
     verbatim_doc_comment,
-    next_help_heading = "Options of every command"
+    next_help_heading = "Options of every command",
+    after_help = EXPERTS,
+    after_long_help = EXPERTS
 )]
 pub struct Arguments {
     /// The CAN adapter: `slcan:DEVICE[@BAUD]`, slcan:tcp:HOST:PORT, socketcan:INTERFACE; socketcan:INTERFACE@KBIT if
     /// the interface is up and its bit rate must stay
     #[arg(long, global = true, value_name = "ADAPTER", env = "LSS_ADAPTER")]
     pub adapter: Option<Place>,
-    /// The bit rate of the network in kbit/s; by default that of the interface, or 125
+    /// The bit rate of the network in kbit/s: 125, 125k or 125000; by default that of the interface, or 125
     #[arg(long, global = true, value_name = "KBIT", value_parser = bit_rate)]
     pub bit_rate: Option<BitRate>,
     /// The time in ms that the adapter takes for a frame and its answer, if it is longer than the adapter itself
@@ -79,6 +90,22 @@ pub struct Apply {
     pub write_dcf: Option<PathBuf>,
 }
 
+/// An object of a node.
+#[derive(clap::Args)]
+pub struct Object {
+    #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+    pub node: NodeId,
+    /// Index and sub-index in hexadecimal, 1017 or 2101:1; with a data sheet also its name
+    #[arg(value_name = "OBJECT")]
+    pub object: String,
+    /// Its data type: bool, i8, i16, i32, i64, u8, u16, u32, u64, f32, f64, text, hex
+    #[arg(long = "type", value_name = "TYPE", value_parser = data_type, conflicts_with = "eds")]
+    pub data_type: Option<u8>,
+    /// The data sheet of the node
+    #[arg(long, value_name = "FILE")]
+    pub eds: Option<PathBuf>,
+}
+
 /// The update file, and where it goes.
 #[derive(clap::Args)]
 pub struct Update {
@@ -103,15 +130,18 @@ pub enum Command {
         /// Ask at each bit rate if nobody is heard. It disturbs a network that runs but was silent
         #[arg(long)]
         ask: bool,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
     /// List all nodes: node-ID, LSS address, name, version, NMT state, bit rate
     List {
-        /// Print JSON
+        /// Print JSON; with --watch a line for each event
         #[arg(long)]
         json: bool,
         /// Go on until Ctrl-C: show states, heartbeats, boot-ups and emergencies. It only listens then, and asks each
         /// node that appears once
-        #[arg(long, conflicts_with = "json")]
+        #[arg(long)]
         watch: bool,
     },
     /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
@@ -131,8 +161,39 @@ pub enum Command {
     /// for is left alone, and a program that does not run is taken back
     #[command(verbatim_doc_comment)]
     Update(Update),
+    /// Start a node, or all: NMT state operational
+    Start {
+        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+        node: Option<NodeId>,
+    },
+    /// Stop a node, or all: NMT state stopped, in which they answer to LSS but not to SDO
+    Stop {
+        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+        node: Option<NodeId>,
+    },
+    /// Reset a node, or all
+    Reset {
+        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+        node: Option<NodeId>,
+    },
+    /// Read a value of a node
+    Read(Object),
+    /// Write a value of a node, which it has until its next reset
+    Write {
+        #[command(flatten)]
+        object: Object,
+        /// The value, as in a data sheet: 500, 0x1F4, 1.5, a text
+        #[arg(value_name = "VALUE", allow_hyphen_values = true)]
+        value: String,
+    },
     /// Ask a board for its LSS address and its node-ID
-    Inquire(Target),
+    Inquire {
+        #[command(flatten)]
+        target: Target,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
     /// Show which board it is: keeps it in LSS configuration state, in which its LEDs flicker (CiA 303-3), until you press
     /// Enter; without a terminal for 10 s
     Blink {
@@ -141,6 +202,7 @@ pub enum Command {
         which: Which,
     },
     /// Ask whether any board has an LSS address within ranges; changes no state
+    #[command(hide = true)]
     Identify(Ranges),
     /// Give a board a node-ID
     SetId {
@@ -155,15 +217,22 @@ pub enum Command {
         /// Reset the communication of a board that has another node-ID, which takes the new one then
         #[arg(long)]
         reset: bool,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Let a board store its node-ID and its bit rate
+    #[command(hide = true)]
     Store(Target),
     /// Send one LSS request and print the answers; zeros follow the bytes given
+    #[command(hide = true)]
     Raw {
         /// The request in hexadecimal, such as 04 01
         #[arg(value_name = "BYTE", required = true, num_args = 1..=8, value_parser = address::byte)]
         bytes: Vec<u8>,
     },
+    /// List the CAN adapters of this computer; the only one needs no --adapter
+    Adapters,
     /// Print the completion of the commands for a shell
     Completion { shell: Shell },
 }
@@ -178,7 +247,13 @@ impl Command {
             Self::Apply(_) => "apply",
             Self::SetRate { rate, .. } => return format!("lss set-rate {}", rate.kbit_per_s()),
             Self::Update(_) => "update",
-            Self::Inquire(_) => "inquire",
+            Self::Start { .. } => "start",
+            Self::Stop { .. } => "stop",
+            Self::Reset { .. } => "reset",
+            Self::Read(_) => "read",
+            Self::Write { .. } => "write",
+            Self::Adapters => "adapters",
+            Self::Inquire { .. } => "inquire",
             Self::Blink { .. } => "blink",
             Self::Identify(_) => "identify",
             Self::SetId { .. } => "set-id",
@@ -187,6 +262,19 @@ impl Command {
             Self::Completion { .. } => "completion",
         };
         format!("lss {name}")
+    }
+}
+
+impl Command {
+    /// Whether it prints its result as JSON, and no words.
+    pub fn is_json(&self) -> bool {
+        match self {
+            Self::Find { json, .. } | Self::Inquire { json, .. } | Self::SetId { json, .. } => {
+                *json
+            }
+            Self::Assign(Assign { json, .. }) | Self::Identify(Ranges { json, .. }) => *json,
+            _ => false,
+        }
     }
 }
 
@@ -209,6 +297,9 @@ pub struct Assign {
     /// In the end, wait until somebody has switched the power off and on, and check that every board comes back
     #[arg(long)]
     pub power_check: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// The LSS addresses that are asked for. Numbers are decimal, or hexadecimal after 0x.
@@ -229,4 +320,7 @@ pub struct Ranges {
     /// Print the LSS address of each board within the ranges, by ranges that are halved
     #[arg(long)]
     pub each: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
 }

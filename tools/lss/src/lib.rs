@@ -13,6 +13,8 @@ mod run;
 mod session;
 
 pub use arguments::{Arguments, Command};
+pub use commands::adapters;
 pub use failure::Failure;
+pub use progress::Shows;
 pub use recorder::Recorder;
 pub use session::{Screen, Session};

@@ -12,8 +12,8 @@ use std::{
 
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
-use can_bus::{bus::Bus, person::Person, stop::Stop};
-use lss::{Arguments, Command, Failure, Recorder, Screen, Session};
+use can_bus::{adapter, bus::Bus, person::Person, stop::Stop};
+use lss::{Arguments, Command, Failure, Recorder, Screen, Session, Shows};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -21,10 +21,18 @@ fn main() -> ExitCode {
     match run(&arguments, is_interrupted) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {failure}");
+            // As clap has it.
+            let style = clap::builder::Styles::styled();
+            let error = style.get_error();
+            anstream::eprintln!("{error}error:{error:#} {failure}");
             failure.exit_code().into()
         }
     }
+}
+
+/// Whether the terminal only prints.
+fn is_dumb() -> bool {
+    std::env::var_os("TERM").is_some_and(|term| term == "dumb")
 }
 
 /// The size of the terminal, or that of an old one if it does not tell.
@@ -40,10 +48,20 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
         clap_complete::generate(shell, &mut Arguments::command(), "lss", &mut io::stdout());
         return Ok(());
     }
-    let Some(place) = &arguments.adapter else {
-        let missing = ErrorKind::MissingRequiredArgument;
-        let words = "which CAN adapter? --adapter slcan:/dev/ttyACM0, or the variable LSS_ADAPTER";
-        Arguments::command().error(missing, words).exit()
+    if matches!(arguments.command, Command::Adapters) {
+        return lss::adapters(&mut io::stdout());
+    }
+    let found = if arguments.adapter.is_none() { adapter::list() } else { Vec::new() };
+    let place = match (&arguments.adapter, &found[..]) {
+        (Some(place), _) | (None, [(place, _)]) => place,
+        (None, found) => {
+            let missing = ErrorKind::MissingRequiredArgument;
+            let words =
+                "which CAN adapter? --adapter slcan:/dev/ttyACM0, or the variable LSS_ADAPTER";
+            let found: Vec<String> =
+                found.iter().map(|(place, words)| format!("\n  {place}  {words}")).collect();
+            Arguments::command().error(missing, words.to_owned() + &found.concat()).exit()
+        }
     };
     let flag = Arc::clone(&is_interrupted);
     let is_watching = matches!(arguments.command, Command::List { watch: true, .. });
@@ -70,9 +88,13 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
     let latency = Duration::from_millis(arguments.latency.into());
     let bus = Bus::new(Box::new(adapter), latency, is_interrupted);
     let mut out = io::stdout();
-    let is_screen = out.is_terminal() && !arguments.explain;
-    let shows_progress = io::stderr().is_terminal() && !arguments.explain;
-    let mut session = Session::new(bus, &mut out, shows_progress);
+    let is_screen = out.is_terminal() && !arguments.explain && !is_dumb();
+    let shows = match io::stderr().is_terminal() && !is_dumb() {
+        _ if arguments.explain => Shows::Nothing,
+        true => Shows::Line,
+        false => Shows::Lines,
+    };
+    let mut session = Session::new(bus, &mut out, shows);
     session.record = record;
     session.screen = is_screen.then_some(screen as Screen);
     if io::stdin().is_terminal() {

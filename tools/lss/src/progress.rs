@@ -10,27 +10,46 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// The time between two changes of the line.
 const INTERVAL: Duration = Duration::from_millis(100);
 
-/// The line, if there is a terminal.
+/// The same for a line of its own, where lines cannot change.
+const PIPE_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Where the line goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shows {
+    /// It changes on the terminal.
+    Line,
+    /// Now and then another one goes to a file, a pipe or a terminal that cannot clear one.
+    Lines,
+    Nothing,
+}
+
+/// The line.
 pub struct Progress {
-    is_shown: bool,
+    shows: Shows,
     next: Instant,
     is_drawn: bool,
 }
 
 impl Progress {
-    pub fn new(is_shown: bool) -> Self {
-        Self { is_shown, next: Instant::now() + PATIENCE, is_drawn: false }
+    pub fn new(shows: Shows) -> Self {
+        let patience = if shows == Shows::Line { PATIENCE } else { PIPE_INTERVAL };
+        Self { shows, next: Instant::now() + patience, is_drawn: false }
     }
 
     /// Says what is being done.
     pub fn say(&mut self, what: impl FnOnce() -> String) {
         let now = Instant::now();
-        if self.is_shown && now >= self.next {
-            // Without a terminal there is nobody to read it.
-            let _ = write!(io::stderr(), "\r\x1B[K{}", what());
-            self.next = now + INTERVAL;
-            self.is_drawn = true;
+        if now < self.next {
+            return;
         }
+        // There may be nobody to read it.
+        let _ = match self.shows {
+            Shows::Line => write!(io::stderr(), "\r\x1B[K{}", what()),
+            Shows::Lines => writeln!(io::stderr(), "{}", what()),
+            Shows::Nothing => return,
+        };
+        self.is_drawn = self.shows == Shows::Line;
+        self.next = now + if self.is_drawn { INTERVAL } else { PIPE_INTERVAL };
     }
 
     /// Says something that stays, on the standard error.

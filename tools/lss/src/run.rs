@@ -9,7 +9,7 @@ use can_bus::{
 
 use crate::{
     arguments::{Arguments, Command},
-    commands,
+    commands::{self, Nmt},
     failure::Failure,
     network::board,
     picture::{self, Caption},
@@ -42,7 +42,10 @@ impl Session<'_> {
         // A running network has an NMT master and SDO clients.
         self.bus.mind(Masters::Lss);
         self.bus.set_pace(Pace::Quick);
-        let outcome = self.dispatch(arguments);
+        let outcome = match arguments.command.is_json() {
+            true => self.in_json(arguments),
+            false => self.dispatch(arguments),
+        };
         self.progress.clear();
         let is_over = match arguments.command {
             // It changes no state.
@@ -63,12 +66,23 @@ impl Session<'_> {
         }
     }
 
+    /// Carries out the command, and prints its result instead of its words.
+    fn in_json(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+        let out = std::mem::replace(&mut self.out, Box::leak(Box::new(std::io::sink())));
+        let outcome = self.dispatch(arguments);
+        self.out = out;
+        if !self.result.is_null() {
+            writeln!(self.out, "{:#}", self.result)?;
+        }
+        outcome
+    }
+
     fn dispatch(&mut self, arguments: &Arguments) -> Result<(), Failure> {
         let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
         match &arguments.command {
-            Command::Find { ask } => return commands::find(self, rate, *ask),
+            Command::Find { ask, .. } => return commands::find(self, rate, *ask),
             Command::Apply(files) => return commands::apply(self, arguments.bit_rate, files),
-            Command::Completion { .. } => return Ok(()),
+            Command::Adapters | Command::Completion { .. } => return Ok(()),
             _ => self.bus.open(rate)?,
         }
         match &arguments.command {
@@ -77,16 +91,22 @@ impl Session<'_> {
             _ => board::end_earlier_run(self)?,
         }
         match &arguments.command {
-            Command::Find { .. } | Command::Apply(_) | Command::Completion { .. } => Ok(()),
-            Command::List { watch: true, .. } => commands::watch(self),
+            Command::Find { .. } | Command::Apply(_) => Ok(()),
+            Command::Adapters | Command::Completion { .. } => Ok(()),
+            Command::Start { node } => commands::nmt(self, Nmt::Start, *node),
+            Command::Stop { node } => commands::nmt(self, Nmt::Stop, *node),
+            Command::Reset { node } => commands::nmt(self, Nmt::Reset, *node),
+            Command::Read(object) => commands::read(self, object),
+            Command::Write { object, value } => commands::write(self, object, value),
+            Command::List { watch: true, json } => commands::watch(self, *json),
             Command::List { json, .. } => commands::list(self, *json),
             Command::Assign(assign) => commands::assign(self, assign),
             Command::Update(update) => commands::update(self, update),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
-            Command::Inquire(target) => commands::inquire(self, *target),
+            Command::Inquire { target, .. } => commands::inquire(self, *target),
             Command::Blink { which } => commands::blink(self, *which),
             Command::Identify(ranges) => commands::identify(self, ranges),
-            Command::SetId { id, target, store, reset } => {
+            Command::SetId { id, target, store, reset, .. } => {
                 commands::set_id(self, *id, *target, *store, *reset)
             }
             Command::Store(target) => commands::store(self, *target),

@@ -9,7 +9,11 @@ use can_bus::{
 use canopen_node::{BitRate, lss::Request};
 use lss_master::Procedure;
 
-use crate::{failure::Failure, progress::Progress, recorder::Record};
+use crate::{
+    failure::Failure,
+    progress::{Progress, Shows},
+    recorder::Record,
+};
 
 /// The bit rate of new boards.
 pub const DEFAULT_RATE: BitRate = BitRate::Kbit125;
@@ -37,13 +41,15 @@ pub struct Session<'a> {
     pub slow_answer: Option<Duration>,
     /// The serial numbers that the person was told to be there twice.
     pub twice: Vec<u32>,
+    /// What a command has found or done, which is printed as JSON.
+    pub result: serde_json::Value,
     /// What the adapter did, for a picture.
     pub record: Option<Record>,
 }
 
 impl<'a> Session<'a> {
-    pub fn new(bus: Bus, out: &'a mut dyn Write, shows_progress: bool) -> Self {
-        let progress = Progress::new(shows_progress);
+    pub fn new(bus: Bus, out: &'a mut dyn Write, shows: Shows) -> Self {
+        let progress = Progress::new(shows);
         let person = Person::absent();
         Self {
             bus,
@@ -54,6 +60,7 @@ impl<'a> Session<'a> {
             all_wait: false,
             slow_answer: None,
             twice: Vec::new(),
+            result: serde_json::Value::Null,
             record: None,
         }
     }

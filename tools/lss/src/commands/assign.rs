@@ -46,7 +46,11 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
     };
     let node_ids = NodeIds::new(session, &found, None);
     let mut work = Work { first: arguments.first, table, node_ids, done: Done::default() };
-    match carry_out(session, &mut work, found, absent, arguments) {
+    let outcome = carry_out(session, &mut work, found, absent, arguments);
+    let board = |(id, address): &(NodeId, Address)| serde_json::json!({ "node_id": id.get(), "lss_address": address::text(address) });
+    let boards: Vec<_> = work.done.new.iter().map(board).collect();
+    session.result = serde_json::json!({ "boards": boards, "problems": work.done.problems });
+    match outcome {
         Ok(()) => {}
         Err(failure) if work.done.problems.is_empty() => return Err(failure),
         Err(failure) => match failure.of_board() {

@@ -33,6 +33,7 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
             rates
         }
     };
+    session.result = serde_json::json!({ "networks": [] });
     let mut has_signals = false;
     let mut sights = Vec::new();
     for &rate in &rates {
@@ -56,7 +57,7 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
     // A question would disturb those at the other bit rates.
     for (rate, sight) in &sights {
         writeln!(session.out, "boards run at {rate}")?;
-        tell_heard(session, sight)?;
+        tell_heard(session, *rate, sight)?;
     }
     if !sights.is_empty() {
         return Err(Failure::Refused(MIXED.into()));
@@ -120,7 +121,7 @@ fn tell(
             rate.kbit_per_s()
         )?,
     }
-    tell_heard(session, sight)?;
+    tell_heard(session, rate, sight)?;
     let out = &mut *session.out;
     if !sight.nodes.is_empty() {
         let nodes: Vec<String> = sight.nodes.iter().map(u8::to_string).collect();
@@ -135,7 +136,14 @@ fn tell(
     Ok(())
 }
 
-fn tell_heard(session: &mut Session<'_>, sight: &Sight) -> Result<(), Failure> {
+fn tell_heard(session: &mut Session<'_>, rate: BitRate, sight: &Sight) -> Result<(), Failure> {
+    let network = serde_json::json!({
+        "bit_rate": rate.kbit_per_s(),
+        "nodes": sight.nodes,
+        "has_blank": sight.has_blank,
+        "heard": sight.heard,
+    });
+    session.result["networks"].as_array_mut().into_iter().for_each(|all| all.push(network.clone()));
     for (words, count) in &sight.heard {
         writeln!(session.out, "heard: {words} ({count})")?;
     }

@@ -41,24 +41,41 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     }
 }
 
-/// Prints the table.
+/// Prints the table, within the width of a terminal.
 pub fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
-    let mut line = |cells: [&str; 6]| {
-        let [id, address, name, version, state, rate] = cells;
-        let text = format!("{id:7}  {address:35}  {name:16}  {version:8}  {state:15}  {rate}");
-        writeln!(session.out, "{}", text.trim_end())
-    };
-    line(["node-ID", "LSS address", "name", "version", "NMT state", "kbit/s"])?;
-    for row in rows {
-        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
-        line([
-            &row.id_text(),
-            &or_dash(row.lss_address.as_ref().map(address::text)),
-            &or_dash(row.name.clone()),
-            &or_dash(row.version.clone()),
-            row.state.unwrap_or("-"),
-            &row.bit_rate_text(),
-        ])?;
+    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
+    let id = if session.screen.is_some() { "ID" } else { "node-ID" };
+    let head = [id, "LSS address", "name", "version", "NMT state", "kbit/s"];
+    let mut lines = vec![head.map(str::to_owned)];
+    lines.extend(rows.iter().map(|row| {
+        [
+            row.id_text(),
+            or_dash(row.lss_address.as_ref().map(address::text)),
+            or_dash(row.name.clone()),
+            or_dash(row.version.clone()),
+            row.state.unwrap_or("-").to_owned(),
+            row.bit_rate_text(),
+        ]
+    }));
+    let (mut widths, mut limit) = ([7, 35, 16, 8, 15, 0], usize::MAX);
+    if let Some(screen) = session.screen {
+        limit = screen().0.into();
+        let longest = |column: usize| lines.iter().map(|cells| cells[column].chars().count()).max();
+        widths = std::array::from_fn(|column| longest(column).unwrap_or(0));
+        // The name gives way, and then the version.
+        for (column, least) in [(2, 5), (3, 5)] {
+            let over = (widths.iter().sum::<usize>() + 10).saturating_sub(limit);
+            widths[column] = widths[column].saturating_sub(over).max(least.min(widths[column]));
+        }
+    }
+    for cells in lines {
+        let cell = |(text, width): (&String, usize)| match session.screen {
+            Some(_) => format!("{text:width$.width$}"),
+            None => format!("{text:width$}"),
+        };
+        let line = cells.iter().zip(widths).map(cell).collect::<Vec<_>>().join("  ");
+        let line: String = line.chars().take(limit).collect();
+        writeln!(session.out, "{}", line.trim_end())?;
     }
     Ok(())
 }

@@ -29,6 +29,11 @@ pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure>
     choose(session, target)?;
     let address = session.carry_out(InquireAddress::new())?;
     let node_id = session.carry_out(InquireNodeId)?;
+    session.result = serde_json::json!({
+        "lss_address": address::text(&address),
+        "node_id": node_id.map(NodeId::get),
+        "bit_rate": session.bus.rate().kbit_per_s(),
+    });
     let Address { vendor_id, product_code, revision_number, serial_number } = address;
     writeln!(session.out, "LSS address      {}", address::text(&address))?;
     writeln!(session.out, "vendor-ID        {vendor_id:08X}h")?;
@@ -78,6 +83,12 @@ pub fn set_id(
         Failure::Refused(why) => Failure::Refused(format!("{board}: {why}")),
         failure => failure,
     })?;
+    session.result = serde_json::json!({
+        "lss_address": address::text(&address),
+        "node_id": id.map(NodeId::get),
+        "is_in_use": takes_effect || before == id,
+        "is_stored": stores,
+    });
     let kept = if stores { ", stored" } else { ", until a power cut: `lss store` keeps it" };
     if let (Some(before), false) = (before.filter(|_| before != id), takes_effect) {
         let (before, id) = (before.get(), id_text(id));
@@ -177,6 +188,7 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
         revision_numbers: ranges.revision.clone(),
         serial_numbers: ranges.serial.clone(),
     };
+    session.result = serde_json::json!({ "answers": false });
     if !session.carry_out(within.clone())? {
         return Err(Failure::NoAnswer(format!(
             "no board within these ranges answers at {}. Is the bit rate right (--bit-rate)? Some slaves do not support \
@@ -184,15 +196,19 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
             session.bus.rate()
         )));
     }
+    session.result = serde_json::json!({ "answers": true });
     if !ranges.each {
         writeln!(session.out, "a board within these ranges answers")?;
         return Ok(());
     }
+    session.result["boards"] = serde_json::json!([]);
     let mut count = 0;
     loop {
         session.progress.say(|| format!("{} found", counted(count, "board")));
         let Some(found) = session.carry_out(Find::new(within.clone()))? else { return Ok(()) };
         writeln!(session.out, "{}", address::text(&found))?;
+        let all = session.result["boards"].as_array_mut();
+        all.into_iter().for_each(|all| all.push(address::text(&found).into()));
         count += 1;
         scan::check_count(count, "identify remote slave")?;
         let Some(next) = found.serial_number.checked_add(1) else { return Ok(()) };

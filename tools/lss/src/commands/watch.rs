@@ -26,7 +26,8 @@ const FRAME: usize = 4;
 const EVENTS: usize = 3;
 
 /// Lists all nodes, and then only listens until Ctrl-C. A node that appears is asked once who it is.
-pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
+pub fn watch(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
+    session.screen = session.screen.filter(|_| !is_json);
     let start = session.bus.time();
     let mut rows = rows::rows(session)?;
     // Boards without a node-ID were asked in LSS configuration state.
@@ -44,7 +45,10 @@ pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
         let state = row.node_id.and_then(|id| session.bus.states.get(&id));
         row.state = state.copied().map(rows::state);
     }
-    if session.screen.is_none() {
+    if is_json {
+        writeln!(session.out, "{}", serde_json::json!({ "nodes": rows }))?;
+        session.out.flush()?;
+    } else if session.screen.is_none() {
         list::print(session, &rows)?;
         if rows.is_empty() {
             let rate = session.bus.rate();
@@ -59,7 +63,7 @@ pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
     for received in session.bus.take_unasked() {
         network.note(&received);
     }
-    match listen(session, &mut network) {
+    match listen(session, &mut network, is_json) {
         Err(Failure::Stop(Stop::Interrupted)) => {}
         outcome => return outcome,
     }
@@ -69,7 +73,7 @@ pub fn watch(session: &mut Session<'_>) -> Result<(), Failure> {
     }
 }
 
-fn listen(session: &mut Session<'_>, network: &mut Network) -> Result<(), Failure> {
+fn listen(session: &mut Session<'_>, network: &mut Network, is_json: bool) -> Result<(), Failure> {
     let known: Vec<u8> = network.nodes.keys().copied().collect();
     for id in known {
         ask_interval(session, network, id)?;
@@ -95,7 +99,14 @@ fn listen(session: &mut Session<'_>, network: &mut Network) -> Result<(), Failur
             Some(_) => {}
             None => {
                 for (time, words) in network.events.drain(..) {
-                    writeln!(session.out, "{:9.3}  {words}", time.as_secs_f64())?;
+                    let time = time.as_secs_f64();
+                    match is_json {
+                        true => {
+                            let line = serde_json::json!({ "time": time, "event": words });
+                            writeln!(session.out, "{line}")?;
+                        }
+                        false => writeln!(session.out, "{time:9.3}  {words}")?,
+                    }
                 }
                 session.out.flush()?;
             }

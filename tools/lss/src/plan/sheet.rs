@@ -203,7 +203,7 @@ impl Sheet {
     }
 
     /// The bytes of a value, if it is one and within its limits.
-    fn bytes(&self, entry: &Entry, text: &str, node: u8) -> Result<Vec<u8>, String> {
+    pub fn bytes(&self, entry: &Entry, text: &str, node: u8) -> Result<Vec<u8>, String> {
         let bytes = entry.parse(text, node).ok_or_else(|| self.no_value(entry, text))?;
         match entry.beyond(&bytes, node) {
             Some(limits) => {
@@ -215,7 +215,7 @@ impl Sheet {
     }
 
     /// The value with this name, or with this index and sub-index.
-    fn named(&self, key: &str) -> Result<&Entry, String> {
+    pub fn named(&self, key: &str) -> Result<&Entry, String> {
         match self.eds.with_name(key)[..] {
             [entry] => return Ok(entry),
             [] => {}
@@ -224,15 +224,7 @@ impl Sheet {
                 return Err(format!("several values are called \"{key}\": {}", words.join(", ")));
             }
         }
-        let digits = key.strip_prefix("0x").unwrap_or(key);
-        let (index, sub_index) =
-            digits.split_once(':').or_else(|| digits.split_once("sub")).unwrap_or((digits, "0"));
-        let address = (u16::from_str_radix(index, 16), u8::from_str_radix(sub_index, 16));
-        let entry = match address {
-            (Ok(index), Ok(sub_index)) => self.eds.get((index, sub_index)),
-            _ => None,
-        };
-        entry.ok_or_else(|| {
+        eds::parts(key).and_then(|address| self.eds.get(address)).ok_or_else(|| {
             let file = self.path.display();
             format!("\"{key}\" is not in {file}: write a name of it, or \"2101:1\" for index and sub-index")
         })

@@ -25,7 +25,7 @@ use canopen_node::{
 use clap::Parser;
 use emulator::{Time, network::Network};
 use firmware::device::DEVICE;
-use lss::{Arguments, Recorder, Session};
+use lss::{Arguments, Recorder, Session, Shows};
 use testkit::{
     flash::BoardFlash,
     image::Firmware,
@@ -192,7 +192,7 @@ pub fn run(
     let record = arguments.svg.is_some().then(|| recorder.keep());
     let bus = Bus::new(Box::new(recorder), Duration::from_millis(1), Arc::clone(is_interrupted));
     let mut out = Vec::new();
-    let mut session = Session::new(bus, &mut out, false);
+    let mut session = Session::new(bus, &mut out, Shows::Nothing);
     session.record = record;
     prepare(&mut session);
     let outcome = session.run(&arguments);

@@ -80,6 +80,8 @@ pub struct Record {
     /// There was a write.
     has_begun: bool,
     is_adapter_gone: bool,
+    /// NMT commands are lost.
+    pub loses_nmt: bool,
     /// The adapter does not report its status.
     pub has_no_status: bool,
 }
@@ -340,7 +342,9 @@ impl Adapter for Wire {
         }
         self.record().sent.push(*frame);
         self.record().writes += usize::from(is_write(frame));
-        self.adapter.send(frame)?;
+        if !(self.record().loses_nmt && frame.cob_id() == nmt::COMMAND_COB_ID) {
+            self.adapter.send(frame)?;
+        }
         if fault == Some(Fault::AdapterGoneBehind) {
             self.record().is_adapter_gone = true;
             self.flush()?;

@@ -11,6 +11,7 @@ mod foreign;
 mod in_process;
 mod many_boards;
 mod network;
+mod nodes;
 mod one_at_a_time;
 mod picture;
 mod power;

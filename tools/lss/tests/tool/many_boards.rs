@@ -12,7 +12,7 @@ use std::{
 use can_bus::bus::Bus;
 use canopen_node::{BitRate, Frame, NodeId, Settings, lss::Address};
 use clap::Parser;
-use lss::{Arguments, Session};
+use lss::{Arguments, Session, Shows};
 use testkit::{
     flash::BoardFlash,
     frames,
@@ -78,7 +78,7 @@ impl Slaves {
         let begin = self.adapter.bus().now();
         let mut out =
             Printed { adapter: self.adapter.clone(), text: Vec::new(), last_known: begin };
-        let (code, error) = match Session::new(bus, &mut out, false).run(&arguments) {
+        let (code, error) = match Session::new(bus, &mut out, Shows::Nothing).run(&arguments) {
             Ok(()) => (0, String::new()),
             Err(failure) => (failure.exit_code(), failure.to_string()),
         };

@@ -21,6 +21,8 @@ fn svg(boards: &Boards, name: &str, arguments: &str) -> String {
     let path = cargo::scratch(name);
     boards.lss(&format!("{arguments} --svg {}", path.display()));
     let svg = fs::read_to_string(path).expect("a picture");
+    // A browser shrinks one without a size to its window.
+    assert!(svg.contains("width=\"1200\" height=\""), "{svg:.200}");
     let texts = texts(&svg);
     for (number, (x, y, text)) in texts.iter().enumerate() {
         let end = x + CHARACTER * text.chars().count() as f64;

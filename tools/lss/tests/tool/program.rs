@@ -18,7 +18,7 @@ fn assert_fails(arguments: &[&str], code: i32, words: &str) {
 
 #[test]
 fn a_missing_adapter_is_told() {
-    assert_fails(&["inquire"], 2, "which CAN adapter? --adapter slcan:/dev/ttyACM0");
+    assert_fails(&["find"], 2, "which CAN adapter? --adapter slcan:/dev/ttyACM0");
     let adapter = "slcan:/dev/ttyNone";
     assert_fails(&["inquire", "--adapter", adapter], 4, "no adapter: slcan:/dev/ttyNone");
     assert_fails(&["inquire", "--adapter", "socketcan:none0"], 4, "no adapter: socketcan:none0");
@@ -53,7 +53,7 @@ fn a_wrong_command_line_is_told() {
     wrong(&["set-id", "128"], "1 to 127, or none");
     wrong(&["raw", "xx"], "a byte in hexadecimal");
     wrong(&["identify", "--vendor", "1", "--product", "2", "--serial", "2..1"], "is greater than");
-    wrong(&["list", "--watch", "--json"], "cannot be used with");
+    wrong(&["read", "5", "1017", "--type", "word"], "bool, i8, i16");
     wrong(&["assign", "--yes"], "--table <FILE>");
     wrong(&["store", "--address", "1:2:3"], "vendor-ID:product code:revision:serial number");
     wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301 in kbit/s: 1000, 800,");

@@ -1,0 +1,175 @@
+//! The commands for nodes in their network: start, stop, reset, read and write.
+
+use std::{collections::BTreeMap, path::Path, time::Duration};
+
+use can_bus::{
+    adapter,
+    eds::{self, Eds, Entry},
+    sdo,
+};
+use canopen_node::{NodeId, nmt::State};
+
+use crate::{
+    arguments::Object,
+    failure::Failure,
+    network::{nodes, rows},
+    plan::sheet::{Sheet, address_words},
+    session::Session,
+};
+
+/// The time in which a node tells its state: a boot-up, or two heartbeats once a second.
+const TOLD: Duration = Duration::from_millis(2200);
+
+/// What an NMT command brings about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Nmt {
+    Start,
+    Stop,
+    Reset,
+}
+
+/// Sends the NMT command to a node, or to all, and prints in which state they are then, as far as they tell it.
+pub fn nmt(session: &mut Session<'_>, command: Nmt, node: Option<NodeId>) -> Result<(), Failure> {
+    let (number, wanted) = match command {
+        Nmt::Start => (1, Some(State::Operational as u8)),
+        Nmt::Stop => (2, Some(State::Stopped as u8)),
+        Nmt::Reset => (129, None),
+    };
+    session.bus.take_unasked();
+    session.bus.nmt(number, node.map_or(0, NodeId::get))?;
+    let mut told = BTreeMap::new();
+    let mut booted = Vec::new();
+    let is_it = |id: u8| node.is_none_or(|node| node.get() == id);
+    for received in session.bus.collect(TOLD)? {
+        booted.extend(nodes::booted(&received.frame).filter(|id| is_it(*id)));
+        if let (cob_id @ 0x701..=0x77F, &[state]) = (received.frame.cob_id(), received.frame.data())
+        {
+            told.insert((cob_id & 0x7F) as u8, state);
+        }
+    }
+    told.retain(|id, _| is_it(*id));
+    let is_wrong = |(id, state): &(&u8, &u8)| match wanted {
+        Some(wanted) => **state != wanted,
+        None => !booted.contains(id),
+    };
+    let wrong: Vec<String> = told.iter().filter(is_wrong).map(|(id, _)| id.to_string()).collect();
+    for (id, state) in &told {
+        let boot = if booted.contains(id) && *state != 0 { "boot-up, " } else { "" };
+        writeln!(session.out, "node {id}  {boot}{}", rows::state(*state))?;
+    }
+    match (told.is_empty(), command) {
+        (true, Nmt::Reset) => Err(Failure::NoAnswer("no boot-up message after the reset".into())),
+        (true, _) => Ok(writeln!(session.out, "sent; no heartbeat tells the state since then")?),
+        _ if wrong.is_empty() => Ok(()),
+        _ => Err(Failure::Refused(format!("node {} has not obeyed", wrong.join(", ")))),
+    }
+}
+
+/// Prints the value of an object.
+pub fn read(session: &mut Session<'_>, object: &Object) -> Result<(), Failure> {
+    let sheet = object.sheet()?;
+    let (address, entry) = object.entry(sheet.as_ref())?;
+    let bytes = sdo::read(&mut session.bus, object.node.get(), address.0, address.1)?
+        .map_err(|why| failed(object, address, &why))?;
+    let text = match entry {
+        Some(entry) => entry.text(&bytes),
+        None => {
+            let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
+            hex.join(" ")
+        }
+    };
+    Ok(writeln!(session.out, "{text}")?)
+}
+
+/// Writes a value to an object, until the next reset.
+pub fn write(session: &mut Session<'_>, object: &Object, value: &str) -> Result<(), Failure> {
+    let sheet = object.sheet()?;
+    let (address, entry) = object.entry(sheet.as_ref())?;
+    let Some((sheet, entry)) = sheet.as_ref().zip(entry) else {
+        let why = "of which type? --type u16, for example, or --eds FILE";
+        return Err(Failure::Refused(why.into()));
+    };
+    let bytes = sheet.bytes(entry, value, object.node.get()).map_err(Failure::Refused)?;
+    sdo::download(&mut session.bus, object.node.get(), address, &bytes, WAIT)?
+        .map_err(|why| failed(object, address, &why))
+}
+
+/// A node may store before it answers.
+const WAIT: Duration = Duration::from_secs(5);
+
+fn failed(object: &Object, address: eds::Address, why: &str) -> Failure {
+    let words = address_words(address, None);
+    let words = format!("node {}, {words}: {}", object.node.get(), sdo::in_words(why));
+    match why {
+        "no answer" => Failure::NoAnswer(words),
+        _ => Failure::Refused(words),
+    }
+}
+
+impl Object {
+    /// The data sheet, or one with the only object that is meant.
+    fn sheet(&self) -> Result<Option<Sheet>, Failure> {
+        if let Some(path) = &self.eds {
+            return Sheet::read(path).map(Some).map_err(Failure::Refused);
+        }
+        let Some(data_type) = self.data_type else { return Ok(None) };
+        let Some((index, sub_index)) = eds::parts(&self.object) else { return Ok(None) };
+        let eds = Eds::parse(&format!(
+            "[{index:04X}sub{sub_index:X}]\nDataType={data_type}\nAccessType=rw"
+        ));
+        Ok(Some(Sheet { eds, path: Path::new("--type").into() }))
+    }
+
+    fn entry<'a>(
+        &self,
+        sheet: Option<&'a Sheet>,
+    ) -> Result<(eds::Address, Option<&'a Entry>), Failure> {
+        match sheet {
+            Some(sheet) => {
+                let entry = sheet.named(&self.object).map_err(Failure::Refused)?;
+                Ok((entry.address, Some(entry)))
+            }
+            None => match eds::parts(&self.object) {
+                Some(address) => Ok((address, None)),
+                None => Err(Failure::Refused(format!(
+                    "{} is no object: 1017, or 2101:1 for a sub-index; a name needs --eds FILE",
+                    self.object
+                ))),
+            },
+        }
+    }
+}
+
+/// The data type (CiA 301, table 44) with this short name.
+pub fn data_type(name: &str) -> Result<u8, String> {
+    let types = [
+        ("bool", 0x01),
+        ("i8", 0x02),
+        ("i16", 0x03),
+        ("i32", 0x04),
+        ("i64", 0x15),
+        ("u8", 0x05),
+        ("u16", 0x06),
+        ("u32", 0x07),
+        ("u64", 0x1B),
+        ("f32", 0x08),
+        ("f64", 0x11),
+        ("text", 0x09),
+        ("hex", 0x0A),
+    ];
+    let all = || types.map(|(name, _)| name).join(", ");
+    let found = types.iter().find(|(known, _)| *known == name);
+    found.map(|(_, number)| *number).ok_or_else(all)
+}
+
+/// Prints the adapters that this computer has.
+pub fn adapters(out: &mut dyn std::io::Write) -> Result<(), Failure> {
+    let all = adapter::list();
+    for (place, words) in &all {
+        writeln!(out, "{place}  {words}")?;
+    }
+    match all.is_empty() {
+        true => Err(can_bus::stop::Stop::NoAdapter("no adapter was found".into()).into()),
+        false => Ok(()),
+    }
+}
