@@ -8,7 +8,8 @@ fn main() {
         // Cargo corrects this path in a copy of the folder that has its `target`, and no other.
         let output = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
         fs::copy("memory.x", output.join("memory.x")).expect("OUT_DIR is writable");
-        for arg in [&format!("-L{}", output.display()), "-Tlink.x", "-Tdefmt.x", "--nmagic"] {
+        println!("cargo::rustc-link-arg-bins=-L{}", output.display());
+        for arg in ["--nmagic", "--icf=all", "-Tlink.x", "-Tdefmt.x"] {
             println!("cargo::rustc-link-arg-bins={arg}");
         }
     }

@@ -38,7 +38,8 @@ mod app {
     /// Starts the program, unless there is something to do here.
     #[init(local = [place: Place = Place::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let why = loader::start_or_stay(&cx.core);
+        // SAFETY: it is the first act, and nothing has a peripheral yet.
+        let stay = unsafe { loader::start_or_stay(&cx.core) };
         let chip = cx.device;
         let mut board = Board::of_loader(
             board::Peripherals {
@@ -51,11 +52,12 @@ mod app {
             },
             &cx.core,
             CRYSTAL,
+            &stay,
         );
         let pins = Pins::new(chip.GPIOB, chip.GPIOD, &mut board.rcc);
         let device = DEVICE.with_serial_number(board::serial_number());
         let (runner, work, watchdog) =
-            board.start_loader(device, cx.local.place, why, chip.CAN1, pins.can);
+            board.start_loader(device, cx.local.place, stay, chip.CAN1, pins.can);
         (Shared { runner }, Local { indicators: pins.indicators, watchdog, work })
     }
 

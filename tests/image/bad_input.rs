@@ -68,7 +68,7 @@ fn other_data_in_the_flash_is_erased_without_an_emergency() {
     let contents = [vec![0; 0x8000], (0..0x8000).map(|_| random.byte()).collect()];
     for content in contents {
         let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&content)]);
-        let log = log::lines(rig.network.board(0));
+        let log = rig.log(0);
         let what = "other data found, erased; using the defaults";
         assert!(log.iter().any(|line| line.level == "info" && line.text == what), "{log:#?}");
         assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);
@@ -101,7 +101,7 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
         let mut damaged = log.clone();
         damaged[..0x4000 / PLACE * PLACE].chunks_mut(PLACE).for_each(|place| place[byte] ^= 0x80);
         let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&damaged)]);
-        let log = log::lines(rig.network.board(0));
+        let log = rig.log(0);
         let why = "the settings in the flash are damaged; using the defaults";
         assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
         assert_eq!(rig.lss("4C, 04 01, 11 04"), ["50", "11 00"]);

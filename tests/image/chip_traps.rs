@@ -191,7 +191,8 @@ fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_twice_a_second() {
         let lasted = pair[1].0 - pair[0].0;
         assert!(Time::from_ms(300) < lasted && lasted < Time::from_ms(700), "{lasted}");
     }
-    let lines = says(&board, "the crystal does not start, resetting");
+    // Each start tells of the one before.
+    let lines = says(&board, "reset because the crystal did not start");
     assert_eq!((lines, board.findings()), (resets.len() - 1, vec![]));
 }
 

@@ -31,9 +31,8 @@ fn flash(rig: &ImageRig, change: impl FnOnce(&mut Flash)) {
 }
 
 /// Whether the board has logged an error with this text.
-fn says(rig: &ImageRig, text: &str) -> bool {
-    let lines = log::lines(rig.network.board(0));
-    lines.iter().any(|line| line.level == "error" && line.text.starts_with(text))
+fn says(rig: &mut ImageRig, text: &str) -> bool {
+    rig.log(0).iter().any(|line| line.level == "error" && line.text.starts_with(text))
 }
 
 /// Checks that LSS, SDO and heartbeat of node 40 still work.
@@ -50,7 +49,7 @@ fn assert_node_40_goes_on(rig: &mut ImageRig) {
 fn assert_refuses(rig: &mut ImageRig, why: &str) {
     rig.ask("17", "17 02");
     let line = format!("the settings were not stored, the old ones stay: {why}");
-    assert!(says(rig, &line), "{:#?}", log::lines(rig.network.board(0)));
+    assert!(says(rig, &line), "{line}: {:#?}", rig.log(0));
     assert_node_40_goes_on(rig);
     rig.power_cycle(0);
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{why}");
@@ -63,7 +62,7 @@ fn a_store_that_the_controller_refuses_is_an_error() {
     let mut rig = about_to_store();
     flash(&rig, |flash| flash.refuse_programs(TRIES as _));
     assert_refuses(&mut rig, REPORTS_AN_ERROR);
-    assert!(says(&rig, "flash: the operation failed with FLASH_SR 0x80"));
+    assert!(says(&mut rig, "flash: the operation failed with FLASH_SR 0x80"));
 }
 
 #[test]
@@ -71,7 +70,7 @@ fn a_write_protected_flash_refuses_until_the_protection_is_gone() {
     let mut rig = about_to_store();
     flash(&rig, |flash| flash.protect_sectors(SECTORS));
     assert_refuses(&mut rig, REPORTS_AN_ERROR);
-    assert!(says(&rig, "flash: not written, the sector is write-protected"));
+    assert!(says(&mut rig, "flash: not written, the sector is write-protected"));
     let mut client = rig.sdo_client(0x40);
     assert_eq!(client.download(0x1017, 0, &[0xE8, 3]), Ok(()));
     assert_eq!(client.download(0x1010, 1, b"save"), Err(0x0606_0000));
@@ -126,9 +125,9 @@ fn a_new_board_whose_flash_cannot_be_erased_answers_and_refuses_to_store() {
     board.set_flash(SETTINGS_OFFSET, &[0x5A; 0x8000]);
     let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board]);
     for _ in 0..2 {
-        assert!(says(&rig, "flash: not written, the sector is write-protected"));
+        assert!(says(&mut rig, "flash: not written, the sector is write-protected"));
         let line = format!("the flash failed, a store may fail too: {REPORTS_AN_ERROR}");
-        assert!(says(&rig, &line));
+        assert!(says(&mut rig, &line));
         assert_eq!(rig.lss("4C, 04 01, 11 04, 17"), ["50", "11 00", "17 02"]);
         assert_eq!(rig.lss("04 00"), ["704: 00"], "it keeps the node-ID until the power fails");
         rig.power_cycle(0);
@@ -148,7 +147,7 @@ fn an_incomplete_erase_loses_no_settings_and_is_repeated_at_power_on() {
         let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "seed {seed}");
         let line = format!("the flash failed, a store may fail too: {IS_NOT_BLANK}");
-        not_ready += u32::from(says(&rig, &line));
+        not_ready += u32::from(says(&mut rig, &line));
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "seed {seed}");
         assert_stores(&mut rig);

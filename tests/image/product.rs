@@ -1,10 +1,10 @@
 //! What a product shows of its faults: the log of a panic, a stack overflow and a task that does not answer, and the
 //! report on a peripheral that is not modelled.
 
-use std::sync::LazyLock;
+use std::{fs, sync::LazyLock};
 
 use emulator::image::Image;
-use testkit::{product, unmodelled};
+use testkit::{cargo::workspace, product, unmodelled};
 
 use crate::rig::*;
 
@@ -63,14 +63,16 @@ fn node_4(tolerates_unmodelled: bool) -> ImageRig {
     rig
 }
 
-/// The product, until it was reset after this brightness.
-fn failed(brightness: u8, cause: ResetCause) -> ImageRig {
+/// The product, until it was reset after this brightness; and the cause and the address in its emergency message.
+fn failed(brightness: u8, cause: ResetCause) -> (ImageRig, u8, u32) {
     let mut rig = node_4(true);
     rig.network.allow_reset(0, cause);
     // The fault may come before the answer.
     rig.queue(&sdo::request(4, &format!("2F 00 21 00 {brightness:02X}")));
     rig.expect("704: 00", Time::from_s(3));
-    rig
+    let told = rig.collect(Time::from_ms(20)).0;
+    let [0x00, 0x61, 0x01, cause, address @ ..] = told[0].data() else { panic!("{told:?}") };
+    (rig, *cause, u32::from_le_bytes(address.try_into().expect("four bytes")))
 }
 
 /// The text of the log from the last line on that begins so.
@@ -82,28 +84,30 @@ fn logged(rig: &ImageRig, begin: &str) -> String {
 }
 
 #[test]
-fn a_panic_of_a_product_is_logged_with_its_place_and_its_message() {
-    let rig = failed(1, ResetCause::Software);
-    let line = logged(&rig, "panicked at src/main.rs:");
-    assert!(line.ends_with(":\nvalve 1 is stuck"), "{line}");
-    logged(&rig, "hard fault at 0x80");
-    logged(&rig, "reset by the firmware or a debugger");
+fn a_panic_of_a_product_is_told_with_its_file_and_its_line() {
+    let (rig, cause, panic_line) = failed(1, ResetCause::Software);
+    let source = workspace().join("target/products/faulty/src/main.rs");
+    let source = fs::read_to_string(source).expect("it was built");
+    let lines_before = source.lines().take_while(|line| !line.contains("panic!(")).count();
+    assert_eq!((cause, panic_line), (2, lines_before as u32 + 1));
+    assert_eq!(
+        logged(&rig, "reset by a panic at "),
+        format!("reset by a panic at src/main.rs:{panic_line}")
+    );
 }
 
 #[test]
 fn a_stack_overflow_of_a_product_names_the_function_that_called() {
-    let rig = failed(2, ResetCause::Software);
-    let line = logged(&rig, "stack overflow below the call before 0x");
-    let address = line.split_whitespace().find_map(|word| word.strip_prefix("0x"));
-    let address =
-        address.and_then(|digits| u32::from_str_radix(digits.trim_end_matches(','), 16).ok());
-    let (name, _) = FAULTY.symbol_at(address.expect("an address")).expect("a function");
-    assert!(name.contains("descend"), "{name}");
+    let (rig, cause, address) = failed(2, ResetCause::Software);
+    let (name, _) = FAULTY.symbol_at(address).expect("a function");
+    assert!(cause == 3 && name.contains("descend"), "{name}");
+    logged(&rig, &format!("reset by a stack overflow below the call before {address:#x}"));
 }
 
 #[test]
 fn the_log_names_the_silent_task_of_a_product() {
-    let rig = failed(3, ResetCause::Watchdog);
+    let (rig, cause, tasks) = failed(3, ResetCause::Watchdog);
+    assert_eq!((cause, tasks), (4, 1 << 7));
     logged(&rig, "reset by the watchdog: a task did not run in time");
     let log = log::lines(rig.network.board(0));
     let silent: Vec<_> = log.iter().filter(|line| line.text.starts_with("silent: ")).collect();

@@ -4,6 +4,14 @@ use emulator::{can::Clock, chip::FLASH_BASE};
 
 use crate::rig::*;
 
+/// What node 40h sends after the firmware has failed: its boot-up, the cause with its address, and that it is over.
+#[track_caller]
+fn assert_told(rig: &mut ImageRig, cause: u8, address: u32) {
+    let [a, b, c, d] = address.to_le_bytes();
+    let told = format!("0C0: 00 61 01 {cause:02X} {a:02X} {b:02X} {c:02X} {d:02X}");
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00", &told, "0C0: 00 00 00 00 00 00 00 00"]);
+}
+
 /// Thumb instructions: a jump to itself, `bx lr`, which returns at once, and one that is permanently undefined.
 const JUMP_TO_ITSELF: [u8; 2] = [0xFE, 0xE7];
 const RETURN: [u8; 2] = [0x70, 0x47];
@@ -28,7 +36,13 @@ fn the_watchdog_resets_a_board_and_the_log_names_the_silent_task() {
         let mut rig = node_40(0);
         let time = replace_until_reset(&mut rig, code(handler), &instruction, ResetCause::Watchdog);
         assert!(time < Time::from_ms(2_500), "{handler}: {time}");
-        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
+        let tasks = match named {
+            "silent: the task of CAN TX" => 1 << 1,
+            "silent: the task of CAN SCE" => 1 << 2,
+            "silent: the task that stores" => 1 << 3 | u32::from(instruction != RETURN) << 4,
+            _ => 0,
+        };
+        assert_told(&mut rig, 4, tasks);
         assert_eq!(rig.lss("5E"), SILENCE, "in waiting state");
         assert!(rig.has_logged("reset by the watchdog"), "{handler}");
         assert!(rig.has_logged(named), "{handler}: {named}");
@@ -41,7 +55,7 @@ fn the_watchdog_resets_a_board_that_does_not_get_to_sleep() {
     let asleep_at = rig.network.board(0).pc() - FLASH_BASE;
     let time = replace_until_reset(&mut rig, asleep_at, &JUMP_TO_ITSELF, ResetCause::Watchdog);
     assert!(time < Time::from_ms(2_500), "{time}");
-    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    assert_told(&mut rig, 4, 1 << 4);
     assert!(rig.has_logged("silent: `idle`"));
 }
 
@@ -51,8 +65,45 @@ fn a_fault_is_logged_and_ends_in_a_reset_at_once() {
     let faulty = code("CAN1_RX0");
     let time = replace_until_reset(&mut rig, faulty, &UNDEFINED, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
-    assert!(rig.has_logged(&format!("hard fault at {:#x}", FLASH_BASE + faulty)));
+    assert_told(&mut rig, 1, FLASH_BASE + faulty);
+    assert!(rig.has_logged(&format!("reset by a hard fault at {:#x}", FLASH_BASE + faulty)));
+}
+
+#[test]
+fn a_fault_stays_in_2000h_and_1003h_until_a_reset_that_is_none() {
+    let mut rig = node_40(0);
+    let faulty = code("CAN1_RX0");
+    replace_until_reset(&mut rig, faulty, &UNDEFINED, ResetCause::Software);
+    assert_told(&mut rig, 1, FLASH_BASE + faulty);
+    let mut read = |index, sub_index| {
+        let mut value = rig.sdo_client(0x40).upload(index, sub_index).expect("an object");
+        value.resize(4, 0);
+        u32::from_le_bytes(value.try_into().expect("four bytes"))
+    };
+    assert_eq!([read(0x2000, 8), read(0x2000, 9)], [1, FLASH_BASE + faulty]);
+    assert_eq!(read(0x1003, 1), 0x6100 | 1 << 16 | (FLASH_BASE + faulty) << 24);
+    assert_eq!(read(0x1001, 0), 0, "it is over");
+    rig.network.allow_reset(0, ResetCause::Software);
+    rig.transmit_command("81 40");
     assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    assert!(rig.has_logged("reset by NMT or by the firmware"));
+    assert_eq!(rig.sdo_client(0x40).upload(0x2000, 8), Ok(vec![0]));
+}
+
+#[test]
+fn power_on_the_pin_and_a_debugger_are_no_failures() {
+    let mut rig = node_40(0);
+    rig.power_cycle(0);
+    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    for (cause, line) in [
+        (ResetCause::Pin, "power-on, or reset by the pin"),
+        (ResetCause::Software, "reset by a debugger"),
+    ] {
+        rig.network.allow_reset(0, cause);
+        rig.network.board_mut(0).reset(cause);
+        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+        assert!(rig.has_logged(line), "{line}");
+    }
 }
 
 /// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12).
@@ -71,9 +122,9 @@ fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
     let panics = jump(handler, code("_defmt_release"));
     let time = replace_until_reset(&mut rig, handler, &panics, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
-    let log = log::lines(rig.network.board(0));
-    assert!(log.iter().any(|line| line.text.starts_with("hard fault at ")));
-    assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"]);
+    let [boot_up, told, _] = &rig.collect(Time::from_ms(20)).0[..] else { panic!("no emergency") };
+    assert_eq!((boot_up.cob_id(), &told.data()[..4]), (0x740, &[0x00, 0x61, 1, 1][..]));
+    assert!(rig.has_logged("reset by a hard fault at "));
 }
 
 #[test]

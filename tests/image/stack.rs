@@ -49,9 +49,11 @@ fn a_stack_overflow_is_logged_with_its_place_and_reaches_no_variable() {
         assert!(reset_at < from + Time::from_ms(most_ms), "{handler}: {}", reset_at - from);
         assert!(memory(&rig) == before, "{handler}");
         rig.boot(0, reset_at);
-        assert_eq!(rig.collect(Time::from_ms(20)), ["740: 00"], "{handler}");
         let behind_call = FLASH_BASE + code(handler) + CALL_FOR_EVER.len() as u32;
-        let line = format!("stack overflow below the call before {behind_call:#x}, resetting");
+        let frames = rig.collect(Time::from_ms(20)).0;
+        assert_eq!(frames[1].data()[..4], [0x00, 0x61, 1, 3], "{handler}");
+        assert_eq!(frames[1].data()[4..], behind_call.to_le_bytes(), "{handler}");
+        let line = format!("reset by a stack overflow below the call before {behind_call:#x}");
         assert!(rig.has_logged(&line), "{handler}");
     }
 }

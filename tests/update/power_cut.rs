@@ -85,7 +85,8 @@ impl Files {
         };
         let file = |bytes, version| file_of(&Image::from_segments(vec![(CODE, bytes)]), version);
         let mut failing = of("0.2.0");
-        // The reset vector leads into the random bytes.
+        // The reset vector leads to an undefined instruction in the random bytes.
+        failing[SMALL / 2..][..2].copy_from_slice(&UNDEFINED.to_le_bytes());
         failing[4..8].copy_from_slice(&(CODE + SMALL as u32 / 2 + 1).to_le_bytes());
         Self {
             old: file(of("0.1.0"), "0.1.0"),

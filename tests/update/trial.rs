@@ -8,7 +8,7 @@ use emulator::{
     chip::{FLASH_BASE, ResetCause},
     image::Image,
 };
-use program_update::header::HEADER_LEN;
+use program_update::{Status, header::HEADER_LEN};
 use testkit::{
     boards,
     image_rig::{ImageRig, SETTINGS_OFFSET},
@@ -76,6 +76,33 @@ fn a_program_on_trial_that_nobody_confirms_is_reset_after_60_s() {
     assert_eq!((rig.number(0x2001, 1), rig.number(0x2001, 2)), (TRIAL, 2), "the second start");
 }
 
+/// A probe resets the chip by SYSRESETREQ, as the firmware does, and leaves nothing.
+fn reset_by_a_debugger(rig: &mut Rig) {
+    rig.0.network.allow_reset(0, ResetCause::Software);
+    rig.0.network.board_mut(0).reset(ResetCause::Software);
+    rig.0.expect("705: 00", Time::from_ms(200));
+}
+
+#[test]
+fn resets_by_a_debugger_are_no_failures_of_a_program() {
+    let mut rig = Rig::new();
+    for _ in 0..7 {
+        reset_by_a_debugger(&mut rig);
+        // The program runs, not the loader.
+        assert_eq!((rig.number(0x1F51, 1), rig.version().as_str()), (1, "0.1.0"));
+    }
+}
+
+#[test]
+fn resets_by_a_debugger_take_no_start_of_a_trial() {
+    let mut rig = on_trial();
+    for _ in 0..4 {
+        reset_by_a_debugger(&mut rig);
+        assert_eq!((rig.number(0x2001, 1), rig.number(0x2001, 2)), (TRIAL, 1));
+        assert_eq!(rig.version(), "0.2.0");
+    }
+}
+
 #[test]
 fn after_five_failures_in_a_row_the_loader_stays_for_60_s() {
     let fails = with_first_instruction(&program("0.2.0"), UNDEFINED);
@@ -86,8 +113,9 @@ fn after_five_failures_in_a_row_the_loader_stays_for_60_s() {
     let at = rig.0.expect("705: 00", Time::from_s(20));
     // The power, and the five.
     assert_eq!(rig.0.network.board(0).resets().len(), 6);
-    // Stopped, with a valid program.
+    // Stopped, with a valid program, and why.
     assert_eq!(rig.number(0x1F51, 1), 0);
+    assert_eq!(rig.number(0x1F57, 1), (Status::Failing).value(false));
     rig.0.network.run_until(at + Time::from_ms(59_500));
     assert_eq!(rig.0.network.board(0).resets().len(), 6);
     // It tries again, and fails as before.

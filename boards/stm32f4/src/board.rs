@@ -1,6 +1,12 @@
 //! The board after a reset: watchdog, clocks, supply, settings and identity.
 
-use canopen_node::{Application, Device, Node, NodeId, lss::Address, runner, settings::Log};
+use canopen_node::{
+    Application, Device, Node, NodeId,
+    emergency::{Fault, Restart},
+    lss::Address,
+    runner,
+    settings::Log,
+};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input},
     pac::{DBGMCU, FLASH, IWDG, PWR, RCC, TIM2},
@@ -18,10 +24,11 @@ use crate::{
     fault,
     flash::{self, SettingsFlash},
     pll,
+    reset::Reset,
     runner::{Runner, Storage},
     start,
     supply::Supply,
-    watchdog::{self, Watchdog},
+    watchdog::Watchdog,
 };
 
 /// The peripherals that the board uses. All others are the product's.
@@ -44,28 +51,33 @@ pub struct Board {
     pub alarm: Alarm,
     /// The flash for the settings log, for a program without a node.
     pub flash: SettingsFlash,
+    /// Why the firmware was reset, if it has failed.
+    pub(crate) restart: Option<Restart>,
 }
 
 impl Board {
     /// Sets the board up. The watchdog starts first, so that a hang in the set-up ends in a reset.
     pub fn new(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
-        Self::with_clocks(chip, core, crystal, |clocks| {
+        let reset = Reset::take(&chip.clocks);
+        Self::with_clocks(chip, core, crystal, reset, |clocks| {
+            crystal::compare(crystal, &clocks);
             // The HAL takes the clock of the PLL for that of the crystal, and leaves the PLL itself to us.
             clocks.freeze(Config::hse(Hertz::from_raw(SYSCLK_HZ)).pclk1(Hertz::from_raw(APB1_HZ)))
         })
     }
 
-    /// The same, with this way to the HAL's clocks.
+    /// The same after this reset, with this way to the HAL's clocks.
     pub(crate) fn with_clocks(
         chip: Peripherals,
         core: &cortex_m::Peripherals,
         crystal: Crystal,
+        reset: Reset,
         freeze: impl FnOnce(RCC) -> Rcc,
     ) -> Self {
         start::restore(core, &chip.clocks, &chip.flash);
         fault::guard_stack(&core.MPU);
-        log_reset_cause(&chip.clocks);
         let watchdog = Watchdog::start(chip.watchdog, chip.debug);
+        reset.log();
         let supply = Supply::wait(chip.power);
         crystal::start(crystal, &chip.clocks);
         let mut rcc = freeze(chip.clocks);
@@ -73,7 +85,7 @@ impl Board {
         crystal::check(crystal, &rcc);
         let alarm = Alarm::new(chip.timer, &mut rcc);
         let flash = SettingsFlash::new(chip.flash, supply);
-        Self { rcc, watchdog, alarm, flash }
+        Self { rcc, watchdog, alarm, flash, restart: reset.failure }
     }
 
     /// Starts the node of this device with its stored settings and parameters, or the defaults, and joins the bus.
@@ -99,6 +111,9 @@ impl Board {
             node = node.with_in_force(in_force.settings, in_force.heartbeat_ms);
         }
         crate::log::found(found, &stored.unwrap_or(device.defaults));
+        if let Some(restart) = self.restart {
+            node.handle_fault(Fault::Restarted(restart));
+        }
         let can = Controller::new(can, pins, &mut self.rcc);
         // The start may have erased a sector, so the first roll call comes later.
         self.watchdog.feed();
@@ -118,18 +133,4 @@ pub fn serial_number() -> u32 {
     const ID: *const [u8; 12] = UNIQUE_ID as *const _;
     // SAFETY: read-only memory of every STM32F4.
     Address::serial_number_of(&unsafe { ID.read() })
-}
-
-fn log_reset_cause(rcc: &RCC) {
-    let cause = rcc.csr().read();
-    if cause.wdgrstf().bit_is_set() {
-        watchdog::log_reset();
-    } else if crystal::has_failed() {
-        defmt::error!("reset because the crystal stopped");
-    } else if cause.sftrstf().bit_is_set() {
-        defmt::info!("reset by the firmware or a debugger");
-    } else {
-        defmt::info!("power-on, or reset by the pin");
-    }
-    rcc.csr().modify(|_, w| w.rmvf().set_bit());
 }

@@ -2,23 +2,16 @@
 
 use core::ops::RangeInclusive;
 
-use cortex_m::peripheral::SCB;
+use canopen_node::emergency::RestartCause;
 use stm32f4xx_hal::pac::{RCC, TIM11};
 
-use crate::{chip::SYSCLK_HZ, start};
+use crate::{chip::SYSCLK_HZ, reset, start};
 
 /// The internal oscillator, HSI. By the data sheet it is 1 % off at 25 °C, and 8 % too slow to 4.5 % too fast elsewhere.
 const HSI_KHZ: u32 = 16_000;
 /// The percentages of its frequency that a right crystal seems to have at any temperature, and those at 25 °C.
 const POSSIBLE: RangeInclusive<u32> = 95..=109;
 const LIKELY: RangeInclusive<u32> = 98..=102;
-
-/// Survives a reset and shows whether a failure of the crystal caused it. Its initial value is never written.
-// SAFETY: the section of cortex-m-rt for variables that nothing initialises.
-#[unsafe(link_section = ".uninit.CRYSTAL_NOTE")]
-static mut NOTE: u32 = 0;
-
-const HAS_FAILED: u32 = 0xC0FF_5709;
 
 /// The crystal of a board, or the external clock in its place.
 #[derive(Clone, Copy, Debug)]
@@ -46,12 +39,12 @@ impl Crystal {
 }
 
 /// Starts the crystal and enables the interrupt for its failure (RM0090, 7.2.7); the core runs at 16 MHz. Resets the
-/// chip if the crystal does not start, or is another one.
+/// chip if the crystal does not start.
 pub fn start(crystal: Crystal, rcc: &RCC) {
     if !comes_on(crystal.is_external_clock, rcc) {
         if !comes_on(!crystal.is_external_clock, rcc) {
             defmt::error!("the crystal does not start, resetting: check it");
-            start::give_up();
+            start::give_up(RestartCause::NoCrystal, 0);
         }
         defmt::warn!(
             "CRYSTAL_IS_EXTERNAL_CLOCK in device.rs is wrong, which delays each start by 100 ms: it is {=bool}",
@@ -59,6 +52,10 @@ pub fn start(crystal: Crystal, rcc: &RCC) {
         );
     }
     rcc.cr().modify(|_, w| w.csson().set_bit());
+}
+
+/// Compares the frequency of the crystal, which is on, with the expected one. Resets the chip if it is another.
+pub fn compare(crystal: Crystal, rcc: &RCC) {
     let Some(khz) = measured_khz(rcc) else {
         defmt::warn!("the crystal cannot be measured: CRYSTAL_HZ in device.rs is believed");
         return;
@@ -66,7 +63,7 @@ pub fn start(crystal: Crystal, rcc: &RCC) {
     let percent = khz / (crystal.hz / 100_000);
     if !POSSIBLE.contains(&percent) {
         defmt::error!("the crystal has {=u32} kHz, not CRYSTAL_HZ of device.rs, resetting", khz);
-        start::give_up();
+        start::give_up(RestartCause::WrongCrystal, khz);
     }
     if !LIKELY.contains(&percent) {
         defmt::warn!("the crystal seems to have {=u32} kHz: check CRYSTAL_HZ in device.rs", khz);
@@ -124,32 +121,14 @@ pub fn check(crystal: Crystal, rcc: &RCC) {
     let needed = u64::from(SYSCLK_HZ) * u64::from(divider * post_divider);
     let is_in_use = start::comes_in_100_ms(|| rcc.cfgr().read().sws().is_pll());
     if !(is_in_use && is_from_crystal && made == needed) {
-        defmt::error!(
-            "the clock is not that of the crystal, resetting: RCC_PLLCFGR {=u32:#x}",
-            settings
-        );
-        SCB::sys_reset();
-    }
-}
-
-/// Whether a failure of the crystal caused the last reset. True only once per failure.
-pub fn has_failed() -> bool {
-    let note = &raw mut NOTE;
-    // SAFETY: the word is private and any value is valid; only the non-maskable interrupt also writes it.
-    unsafe {
-        let has_failed = note.read_volatile() == HAS_FAILED;
-        note.write_volatile(0);
-        has_failed
+        reset::end(RestartCause::OtherClock, settings);
     }
 }
 
 /// Handles the failure of the crystal: the core continues at 16 MHz, and at a tenth of its bit rate the controller
-/// would disturb the bus. The next start logs the failure, since a log line takes time and this interrupt may have come
-/// during another one.
+/// would disturb the bus. The next start logs the failure.
 // SAFETY: the handler that cortex-m-rt declares under this name.
 #[unsafe(no_mangle)]
 extern "C" fn NonMaskableInt() -> ! {
-    // SAFETY: the word is private, and no other code runs any more.
-    unsafe { (&raw mut NOTE).write_volatile(HAS_FAILED) };
-    SCB::sys_reset();
+    reset::end(RestartCause::CrystalStopped, 0);
 }

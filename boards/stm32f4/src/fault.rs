@@ -1,12 +1,12 @@
-//! The end of every fault, panic and stack overflow: a log entry and a reset.
+//! The end of every fault, panic and stack overflow: a note for the next start, and a reset.
 
 use core::arch::naked_asm;
 
-use cortex_m::{
-    asm,
-    peripheral::{MPU, SCB},
-};
+use canopen_node::emergency::RestartCause;
+use cortex_m::{asm, peripheral::MPU};
 use cortex_m_rt::ExceptionFrame;
+
+use crate::{panic, reset};
 
 // SAFETY: the linker scripts define them; only their addresses are used.
 unsafe extern "C" {
@@ -66,21 +66,26 @@ unsafe extern "C" fn HardFault() -> ! {
 }
 
 extern "C" fn faulted(frame: &ExceptionFrame) -> ! {
-    defmt::error!("hard fault at {=u32:#x}, resetting", frame.pc());
-    SCB::sys_reset();
+    if let Some((line, file)) = panic::on_the_stack(&raw const *frame as usize) {
+        reset::end_by_panic(line, file);
+    }
+    reset::end(RestartCause::Fault, frame.pc());
 }
 
 /// The exception frame of an overflow is lost in the guard. The deepest return address that the stack still holds names
 /// the function.
 extern "C" fn overflowed(sp: usize) -> ! {
     let code = &raw const __stext as u32..&raw const __etext as u32;
-    let lowest = sp.max(&raw const _stack_end as usize + GUARD_LEN).next_multiple_of(4);
-    let words = (lowest..&raw const _stack_start as usize).step_by(4);
-    // SAFETY: the words are aligned and belong to the stack above its guard.
-    let mut words = words.map(|at| unsafe { (at as *const u32).read_volatile() });
-    // Bit 0 of a return address is the instruction set.
-    let caller =
-        words.find(|word| word & 1 == 1 && code.contains(word)).map_or(0, |word| word & !1);
-    defmt::error!("stack overflow below the call before {=u32:#x}, resetting", caller);
-    SCB::sys_reset();
+    let mut at = sp.max(&raw const _stack_end as usize + GUARD_LEN).next_multiple_of(4);
+    let mut caller = 0;
+    while caller == 0 && at < &raw const _stack_start as usize {
+        // SAFETY: the word is aligned and belongs to the stack above its guard.
+        let word = unsafe { (at as *const u32).read_volatile() };
+        // Bit 0 of a return address is the instruction set.
+        if word & 1 == 1 && code.contains(&word) {
+            caller = word - 1;
+        }
+        at += 4;
+    }
+    reset::end(RestartCause::StackOverflow, caller);
 }

@@ -24,7 +24,14 @@ mod log;
 #[cfg(all(target_os = "none", feature = "update"))]
 mod mailbox;
 #[cfg(target_os = "none")]
+mod memory;
+#[cfg(target_os = "none")]
+mod panic;
+#[cfg(target_os = "none")]
 mod pll;
+#[cfg(target_os = "none")]
+#[doc(hidden)]
+pub mod reset;
 #[cfg(target_os = "none")]
 mod runner;
 #[cfg(target_os = "none")]

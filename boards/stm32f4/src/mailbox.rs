@@ -1,8 +1,9 @@
 //! The mailbox: 32 bytes of RAM between stack and variables in which loader and program leave each other what is in force.
 
 use canopen_node::{Application, BitRate, BitRateSetting, Node, NodeId, Settings};
-use cortex_m::peripheral::SCB;
 use program_update::{Command, Mailbox, Started};
+
+use crate::reset;
 
 /// Its address, as program.x keeps it free.
 const PLACE: *mut [u32; 8] = 0x2000_3FE0 as *mut _;
@@ -51,7 +52,7 @@ pub fn hand_over<A: Application>(node: &Node<A>, command: Command) {
 pub fn reset() -> ! {
     // SAFETY: as above.
     unsafe { PLACE.cast::<u32>().write_volatile(0) };
-    SCB::sys_reset();
+    reset::end_by_command();
 }
 
 /// Records that the program has run for long.

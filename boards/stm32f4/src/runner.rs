@@ -30,7 +30,7 @@ impl System for Alarm {
         #[cfg(feature = "update")]
         crate::mailbox::reset();
         #[cfg(not(feature = "update"))]
-        cortex_m::peripheral::SCB::sys_reset();
+        crate::reset::end_by_command();
     }
 
     fn set_alarm(&mut self, at: Instant) {

@@ -5,8 +5,11 @@
 
 use core::arch::naked_asm;
 
-use cortex_m::{Peripherals, asm, peripheral::SCB};
+use canopen_node::emergency::RestartCause;
+use cortex_m::{Peripherals, asm};
 use stm32f4xx_hal::pac::{FLASH, RCC};
+
+use crate::reset;
 
 // SAFETY: cortex-m-rt defines it; only its address is used.
 unsafe extern "C" {
@@ -93,15 +96,10 @@ pub fn comes_in_100_ms(it_is_there: impl Fn() -> bool) -> bool {
     (0..READS).any(|_| it_is_there())
 }
 
-/// Resets the chip, after about 200 ms at 16 MHz in which a probe fetches the log.
-pub fn give_up() -> ! {
-    for _ in 0..2 {
-        comes_in_100_ms(|| {
-            asm::nop();
-            false
-        });
-    }
-    SCB::sys_reset();
+/// Resets the chip, after at least 200 ms at 16 MHz in which a probe fetches the log.
+pub fn give_up(cause: RestartCause, address: u32) -> ! {
+    asm::delay(3_200_000);
+    reset::end(cause, address);
 }
 
 /// Resets all peripherals and switches their clocks off.

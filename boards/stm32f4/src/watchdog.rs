@@ -1,10 +1,5 @@
 //! The independent watchdog, which is fed only if all tasks have answered a roll call.
 
-use core::{
-    mem::MaybeUninit,
-    sync::atomic::{AtomicU16, Ordering},
-};
-
 use canopen_node::indicator;
 use cortex_m::peripheral::NVIC;
 use stm32f4xx_hal::{
@@ -13,7 +8,10 @@ use stm32f4xx_hal::{
 };
 
 pub use crate::task::Task;
-use crate::task::{self, TASKS};
+use crate::{
+    reset,
+    task::{self, TASKS},
+};
 
 /// The timeout in ms at 32 kHz; the oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is the erase
 /// of a 16 KB sector: 800 ms by bytes, 500 ms by words. A new board erases two; should the watchdog end that, the next
@@ -26,26 +24,15 @@ const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 /// The interrupt of the task that stores, which belongs to an unused USART.
 pub(crate) const STORE: Interrupt = Interrupt::USART1;
 
-/// A bit for each task that the latest roll call has missed. A reset by the watchdog leaves it.
-#[unsafe(link_section = ".uninit.SILENT")]
-static SILENT: MaybeUninit<AtomicU16> = MaybeUninit::uninit();
-
-/// The tasks that have missed a roll call.
-fn silent() -> &'static AtomicU16 {
-    // SAFETY: the RAM has some content, and a number may have any.
-    unsafe { SILENT.assume_init_ref() }
-}
-
 /// Whether all tasks have answered the latest roll call that is over.
 #[cfg(feature = "update")]
 pub(crate) fn all_have_answered() -> bool {
-    silent().load(Ordering::Relaxed) == 0
+    reset::silent() == 0
 }
 
-/// Logs a reset by the watchdog, with the tasks that were silent before it.
-pub(crate) fn log_reset() {
+/// Logs a reset by the watchdog, with the tasks that were silent before it, a bit for each.
+pub(crate) fn log_reset(silent: u16) {
     defmt::warn!("reset by the watchdog: a task did not run in time");
-    let silent = silent().load(Ordering::Relaxed);
     if silent == 0 {
         defmt::warn!("silent: `init`, or the task of TIM2, or one of its priority or above");
         return;
@@ -81,7 +68,6 @@ impl Watchdog {
         let mut hardware = IndependentWatchdog::new(hardware);
         hardware.start(fugit::MillisDurationU32::from_ticks(TIMEOUT_MS));
         hardware.stop_on_debug(&debug, true);
-        silent().store(0, Ordering::Relaxed);
         let mut watchdog = Self { hardware, debug, expected: Task::ALL, steps: 0 };
         watchdog.feed();
         watchdog
@@ -107,7 +93,7 @@ impl Watchdog {
             return;
         }
         let missing = task::call_roll() & self.expected;
-        silent().store(missing, Ordering::Relaxed);
+        reset::note_silent(missing);
         if missing == 0 {
             self.feed();
         }

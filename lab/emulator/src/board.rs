@@ -17,8 +17,10 @@ use log::Log;
 
 /// The time for which an internal reset pulls NRST low (RM0090 7.1.1).
 const RESET_HOLD: Time = Time::from_us(20);
-/// The longest time that a program runs before its log is fetched.
-const LOG_POLL: Time = Time::from_us(50);
+/// The longest time that a program runs before its surroundings are looked at again.
+const STEP: Time = Time::from_us(50);
+/// The time between two looks of the probe into the log. As a real one, it knows nothing of resets.
+pub const LOG_POLL: Time = Time::from_ms(10);
 
 /// The properties in which boards with the same part differ.
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +78,8 @@ pub struct Board {
     chip: Arc<Mutex<Chip>>,
     engine: Box<dyn Engine>,
     log: Log,
+    /// The number of intervals before the probe's latest look.
+    looked: u64,
     image: Image,
     controller: usize,
     tolerates_unmodelled: bool,
@@ -115,6 +119,7 @@ impl Board {
             chip,
             engine,
             log: Log::new(image),
+            looked: 0,
             image: image.clone(),
             controller,
             tolerates_unmodelled,
@@ -171,10 +176,10 @@ impl Board {
             }
             let event = self.next_event();
             let awake = self.engine.wake_time().max(self.now());
-            let poll = Time::from_ps(awake.as_ps().saturating_add(LOG_POLL.as_ps()));
-            let halt = self.engine.run(until.min(event).min(poll));
+            self.look();
+            let step = Time::from_ps(awake.as_ps().saturating_add(STEP.as_ps()));
+            let halt = self.engine.run(until.min(event).min(step));
             let now = self.engine.now();
-            self.log.poll(self.engine.as_mut());
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
                 return Stop::Reset(ResetCause::Software);
@@ -206,7 +211,20 @@ impl Board {
 
     /// Advances to `until`, earlier than [`wake_time`](Self::wake_time), if the CPU sleeps; returns whether it does.
     pub(crate) fn sleep(&mut self, until: Time) -> bool {
-        self.powered && self.engine.sleep(until)
+        let sleeps = self.powered && self.engine.sleep(until);
+        if sleeps {
+            self.look();
+        }
+        sleeps
+    }
+
+    /// Lets the probe fetch the log, if a look was due since the last one. While the core slept there was nothing new.
+    fn look(&mut self) {
+        let looks = self.engine.now().as_ps() / LOG_POLL.as_ps();
+        if looks != self.looked {
+            self.looked = looks;
+            self.log.poll(self.engine.as_mut());
+        }
     }
 
     /// Resets the microcontroller now; RAM keeps its content.
@@ -214,6 +232,7 @@ impl Board {
         if !self.powered {
             return;
         }
+        self.look();
         self.start(cause, self.engine.now());
     }
 
@@ -243,6 +262,7 @@ impl Board {
         if !self.powered {
             return;
         }
+        self.look();
         self.power_cut_at = None;
         self.dark = self.engine.now();
         self.powered = false;

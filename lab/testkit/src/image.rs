@@ -149,7 +149,7 @@ pub(crate) fn build_loader(
     build_bin(directory, [package, &bin], part, |command| {
         // There is no room for a log. The level is built into this package. The loader gets a copy of its own, so that its
         // build and that of the program do not undo each other.
-        command.env("DEFMT_LOG", "off");
+        command.env("DEFMT_LOG", "off").arg("--no-default-features");
         command.args(["--config", "profile.release.package.defmt-macros.codegen-units=1"]);
         // It has 32 KB. The packages of others stay as they are, since the program needs them too.
         for of_loader in [package, "canopen-node", "canopen-stm32f4", "lss-slave", "program-update"]

@@ -329,10 +329,17 @@ impl ImageRig {
         [(); 2].map(|()| self.network.add_adapter(Adapter::new(bit_per_s(bit_rate))))
     }
 
+    /// The log of a board, after the next look of its probe.
+    #[cfg(feature = "log")]
+    pub fn log(&mut self, board: usize) -> Vec<log::LogLine> {
+        self.network.run_for(board::LOG_POLL);
+        log::lines(self.network.board(board))
+    }
+
     /// Whether a line of the first board's log begins with `text`.
     #[cfg(feature = "log")]
-    pub fn has_logged(&self, text: &str) -> bool {
-        log::lines(self.network.board(0)).iter().any(|line| line.text.starts_with(text))
+    pub fn has_logged(&mut self, text: &str) -> bool {
+        self.log(0).iter().any(|line| line.text.starts_with(text))
     }
 
     #[cfg(feature = "log")]

@@ -29,6 +29,10 @@ pub enum Fault {
     /// 8110h: the controller received frames faster than they were read, as reported by
     /// [`BusEvent::Overrun`](crate::BusEvent::Overrun).
     Overrun,
+    /// 6100h, or 5000h if the crystal was the cause: the firmware has failed, and the device was reset before this start.
+    /// Bytes 3..=7 are the [cause](RestartCause) and the address of the [`Restart`]. The fault is over when it is
+    /// reported. Report it after the start, once, and not after power-on, a command or a debugger's reset.
+    Restarted(Restart),
     /// FF10h: the node takes part in the bus at a bit rate other than its home rate. Bytes 3..=6 of the message, and of
     /// the message for its end, are the two rates in kbit/s, 16 bits each, little endian. The node detects both by
     /// itself.
@@ -38,6 +42,56 @@ pub enum Fault {
         /// The bit rate that was last commanded.
         home: BitRate,
     },
+}
+
+/// Why the device was reset before this start. Object 2000h keeps it, sub-indices 8 and 9.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Restart {
+    /// What has failed.
+    pub cause: RestartCause,
+    /// Where: as the [cause](RestartCause) says.
+    pub address: u32,
+}
+
+/// What has failed before a [`Restart`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum RestartCause {
+    /// The instruction at the address.
+    Fault = 1,
+    /// The program has panicked, in the line that the address is.
+    Panic = 2,
+    /// The stack was too small below the call before the address.
+    StackOverflow = 3,
+    /// The watchdog has missed tasks; the address has a bit for each.
+    Watchdog = 4,
+    /// The crystal has stopped.
+    CrystalStopped = 5,
+    /// The crystal has not started.
+    NoCrystal = 6,
+    /// The crystal is another one; the address is its frequency in kHz.
+    WrongCrystal = 7,
+    /// The clock was not that of the crystal; the address is the register of the PLL.
+    OtherClock = 8,
+}
+
+impl RestartCause {
+    /// The cause with this number.
+    pub const fn from_number(number: u32) -> Option<Self> {
+        Some(match number {
+            1 => Self::Fault,
+            2 => Self::Panic,
+            3 => Self::StackOverflow,
+            4 => Self::Watchdog,
+            5 => Self::CrystalStopped,
+            6 => Self::NoCrystal,
+            7 => Self::WrongCrystal,
+            8 => Self::OtherClock,
+            _ => return None,
+        })
+    }
 }
 
 /// Bit 0 of the error register 1001h: there is an error.
@@ -55,9 +109,10 @@ const ERROR_PASSIVE: usize = 14;
 const BUS_OFF_RECOVERED: usize = 15;
 const OVERRUN: usize = 16;
 const AWAY_FROM_HOME_RATE: usize = 17;
+const RESTARTED: usize = 18;
 /// The place of the message with error code 0.
-const END: usize = 18;
-const PLACES: usize = 19;
+const END: usize = 19;
+const PLACES: usize = 20;
 
 /// The content of a message.
 #[derive(Clone, Copy, Debug)]
@@ -112,13 +167,14 @@ impl Fault {
             Self::ErrorPassive => ERROR_PASSIVE,
             Self::BusOffRecovered => BUS_OFF_RECOVERED,
             Self::Overrun => OVERRUN,
+            Self::Restarted(_) => RESTARTED,
             Self::AwayFromHomeRate { .. } => AWAY_FROM_HOME_RATE,
         }
     }
 
     /// Whether the fault lasts until its end is reported. The others are over when they are reported.
     const fn lasts(self) -> bool {
-        !matches!(self, Self::BusOffRecovered | Self::Overrun)
+        !matches!(self, Self::BusOffRecovered | Self::Overrun | Self::Restarted(_))
     }
 
     fn message(self) -> Message {
@@ -128,6 +184,12 @@ impl Fault {
             Self::ErrorPassive => (0x8120, GENERIC | COMMUNICATION),
             Self::BusOffRecovered => (0x8140, GENERIC | COMMUNICATION),
             Self::Overrun => (0x8110, GENERIC | COMMUNICATION),
+            Self::Restarted(Restart { cause, address }) => {
+                let [a0, a1, a2, a3] = address.to_le_bytes();
+                information = [cause as u8, a0, a1, a2, a3];
+                let is_clock = cause as u8 >= RestartCause::CrystalStopped as u8;
+                (if is_clock { 0x5000 } else { 0x6100 }, GENERIC)
+            }
             Self::AwayFromHomeRate { in_use, home } => {
                 let [u0, u1] = in_use.kbit_per_s().to_le_bytes();
                 let [h0, h1] = home.kbit_per_s().to_le_bytes();
@@ -174,6 +236,7 @@ pub(crate) struct Emergency {
     bus_offs: u16,
     overruns: u16,
     error_counters: ErrorCounters,
+    restart: Option<Restart>,
 }
 
 impl Emergency {
@@ -190,6 +253,7 @@ impl Emergency {
             bus_offs: 0,
             overruns: 0,
             error_counters: ErrorCounters { transmit: 0, receive: 0 },
+            restart: None,
         }
     }
 
@@ -204,6 +268,7 @@ impl Emergency {
         match fault {
             Fault::BusOffRecovered => self.bus_offs = self.bus_offs.saturating_add(1),
             Fault::Overrun => self.overruns = self.overruns.saturating_add(1),
+            Fault::Restarted(restart) => self.restart = Some(restart),
             _ => {}
         }
         self.put(fault.place(), fault.message());
@@ -316,6 +381,11 @@ impl Emergency {
     /// The number of [`Fault::Overrun`] reports.
     pub const fn overruns(&self) -> u16 {
         self.overruns
+    }
+
+    /// The latest [`Fault::Restarted`].
+    pub const fn restart(&self) -> Option<Restart> {
+        self.restart
     }
 
     /// The error register 1001h.

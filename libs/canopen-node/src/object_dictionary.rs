@@ -49,6 +49,10 @@ pub enum Object {
     BitRateInUse,
     /// The number of times since the start that the node has joined the others at another bit rate.
     Rescues,
+    /// Why the device was reset before the start; 0 if the firmware has not failed.
+    RestartCause,
+    /// Where it has failed.
+    RestartAddress,
     /// Sub-index 0 of an object: the number of its further sub-indices.
     HighestSubIndex(u8),
     /// The COB-ID of requests to the SDO server.
@@ -129,17 +133,31 @@ pub enum DataType {
 impl DataType {
     /// The size of a number of this type in bytes; 0 for a string or a domain.
     pub const fn size(self) -> u8 {
-        match self {
-            Self::Boolean | Self::Integer8 | Self::Unsigned8 => 1,
-            Self::Integer16 | Self::Unsigned16 => 2,
-            Self::Integer24 | Self::Unsigned24 => 3,
-            Self::Integer32 | Self::Unsigned32 | Self::Real32 => 4,
-            Self::Integer40 | Self::Unsigned40 => 5,
-            Self::Integer48 | Self::Unsigned48 => 6,
-            Self::Integer56 | Self::Unsigned56 => 7,
-            Self::Integer64 | Self::Unsigned64 | Self::Real64 => 8,
-            Self::VisibleString | Self::OctetString | Self::Domain => 0,
-        }
+        /// By the number of the type.
+        const SIZES: [u8; 32] = {
+            let mut sizes = [0; 32];
+            let numbers: [&[DataType]; 8] = [
+                &[DataType::Boolean, DataType::Integer8, DataType::Unsigned8],
+                &[DataType::Integer16, DataType::Unsigned16],
+                &[DataType::Integer24, DataType::Unsigned24],
+                &[DataType::Integer32, DataType::Unsigned32, DataType::Real32],
+                &[DataType::Integer40, DataType::Unsigned40],
+                &[DataType::Integer48, DataType::Unsigned48],
+                &[DataType::Integer56, DataType::Unsigned56],
+                &[DataType::Integer64, DataType::Unsigned64, DataType::Real64],
+            ];
+            let mut of_size = 0;
+            while of_size < numbers.len() {
+                let mut at = 0;
+                while at < numbers[of_size].len() {
+                    sizes[numbers[of_size][at] as usize] = of_size as u8 + 1;
+                    at += 1;
+                }
+                of_size += 1;
+            }
+            sizes
+        };
+        SIZES[self as usize & 31]
     }
 
     /// Whether integers of this type reach from `low` to `high`; true for any other type.
@@ -378,7 +396,7 @@ table! {
         2 "COB-ID server to client": Unsigned32, ReadOnly, CobIdSdoResponse = NodeIdPlus(0x580);
     }
     0x2000 {
-        0 "Highest sub-index supported" of "CAN controller": Unsigned8, Const, HighestSubIndex(7);
+        0 "Highest sub-index supported" of "CAN controller": Unsigned8, Const, HighestSubIndex(9);
         1 "Recoveries from bus-off": Unsigned16, ReadOnly, BusOffs;
         2 "Receive overruns": Unsigned16, ReadOnly, Overruns;
         3 "Transmit error counter": Unsigned8, ReadOnly, TransmitErrorCounter;
@@ -386,6 +404,8 @@ table! {
         5 "Home bit rate": Unsigned16, ReadOnly, HomeBitRate;
         6 "Bit rate in use": Unsigned16, ReadOnly, BitRateInUse;
         7 "Rescues": Unsigned16, ReadOnly, Rescues;
+        8 "Cause of the reset before the start": Unsigned8, ReadOnly, RestartCause;
+        9 "Address of the reset before the start": Unsigned32, ReadOnly, RestartAddress;
     }
 }
 

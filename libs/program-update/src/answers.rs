@@ -55,6 +55,8 @@ pub enum Status {
     Protected,
     /// 8: the supply is too low to write the flash.
     SupplyLow,
+    /// 9: the program has failed [too often](crate::start::MOST_FAILURES), and is tried again after 60 s.
+    Failing,
 }
 
 impl From<FlashError> for Status {
@@ -85,6 +87,7 @@ impl Status {
             Self::TooLong => (6, Field::Length as u32),
             Self::Protected => (7, 0),
             Self::SupplyLow => (8, 0),
+            Self::Failing => (9, 0),
         };
         field << 16 | status << 1 | busy as u32
     }

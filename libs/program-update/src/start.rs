@@ -14,6 +14,8 @@ pub const MOST_FAILURES: u8 = 5;
 pub enum Cause {
     /// A watchdog or a fault.
     Failure,
+    /// A debugger. It is no failure, and takes no start of a trial.
+    Debugger,
     /// Anything else: the power, the reset pin, the program or the loader.
     Other,
 }
@@ -71,7 +73,8 @@ pub fn decide<F: Flash>(flash: &mut F, mailbox: Option<Mailbox>, cause: Cause) -
 
     let mut journal = Journal::open(flash);
     let mut next = next(journal, true, |area| program_in(flash, area).is_some());
-    if next == Next::Trial && !begin_trial(flash, &mut journal) {
+    let takes_try = cause != Cause::Debugger;
+    if next == Next::Trial && takes_try && !begin_trial(flash, &mut journal) {
         next = self::next(journal, false, |area| program_in(flash, area).is_some());
     }
     let start = match next {

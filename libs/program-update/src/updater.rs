@@ -116,7 +116,7 @@ impl<F: Flash, V: Verify, const WORDS: usize> Updater<F, V, WORDS> {
             journal,
             run,
             backup,
-            status: Status::Ok,
+            status: if why == Why::Failures { Status::Failing } else { Status::Ok },
             operation: None,
             row: [0; ROW],
             procedure: Procedure::Restore,

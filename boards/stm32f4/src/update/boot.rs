@@ -13,6 +13,7 @@ use super::areas::Areas;
 use crate::{
     chip::RUN,
     mailbox, pll,
+    reset::Reset,
     start::{comes_in_100_ms, restore},
     supply::Supply,
 };
@@ -81,20 +82,30 @@ unsafe extern "C" fn BootFault() -> ! {
     )
 }
 
-/// The reset flags of RCC_CSR: window and independent watchdog, and software.
-const FAILURES: u32 = 1 << 30 | 1 << 29 | 1 << 28;
+/// The loader stays: only [`start_or_stay`] makes one, so a loader's node starts at most once.
+pub struct Stay {
+    pub(super) why: Why,
+    pub(super) reset: Reset,
+}
 
 /// Starts the program, or says why the loader stays.
-pub fn start_or_stay(core: &cortex_m::Peripherals) -> Why {
-    // SAFETY: nothing else runs yet.
+///
+/// # Safety
+/// It is the first act of the loader, while nothing else has or uses a peripheral.
+pub unsafe fn start_or_stay(core: &cortex_m::Peripherals) -> Stay {
+    // SAFETY: the caller sees to it.
     let (rcc, flash, power) = unsafe { (RCC::steal(), FLASH::steal(), PWR::steal()) };
     restore(core, &rcc, &flash);
     start_watchdog();
     Supply::wait(power);
     // The check of 100 KB takes 2 ms, not 19.
     pll::run_from(pll::FROM_HSI, &rcc);
-    let is_failure = rcc.csr().read().bits() & FAILURES != 0;
-    let cause = if is_failure { Cause::Failure } else { Cause::Other };
+    let reset = Reset::read(&rcc);
+    let cause = match reset.failure {
+        Some(_) => Cause::Failure,
+        None if reset.is_by_debugger() => Cause::Debugger,
+        None => Cause::Other,
+    };
     let mut areas = Areas::new(polls);
     let (start, mailbox) = start::decide(&mut areas, mailbox::read(), cause);
     mailbox::write(&mailbox);
@@ -105,7 +116,10 @@ pub fn start_or_stay(core: &cortex_m::Peripherals) -> Why {
             // SAFETY: the program there is whole.
             unsafe { jump() }
         }
-        Start::Loader(why) => why,
+        Start::Loader(why) => {
+            Reset::end(&rcc);
+            Stay { why, reset }
+        }
     }
 }
 
@@ -159,83 +173,13 @@ unsafe fn jump() -> ! {
     }
 }
 
-/// What the program of a loader has beside its tasks: a panic that resets, and the compiler's memory functions in 100
-/// bytes instead of 1,400.
+/// What the program of a loader has beside its tasks: a panic that resets.
 #[macro_export]
 macro_rules! loader {
     () => {
         #[panic_handler]
         fn panic(_: &core::panic::PanicInfo) -> ! {
-            cortex_m::peripheral::SCB::sys_reset();
+            $crate::reset::end_by_panic_of_loader();
         }
-
-        core::arch::global_asm!(
-            ".macro function name",
-            ".global \\name",
-            ".type \\name, %function",
-            ".thumb_func",
-            "\\name:",
-            ".endm",
-            ".section .text.memory, \"ax\"",
-            // Destination, source, length.
-            "function memcpy",
-            "function __aeabi_memcpy",
-            "function __aeabi_memcpy4",
-            "function __aeabi_memcpy8",
-            "mov r12, r0",
-            "0: subs r2, #4",
-            "ittt pl",
-            "ldrpl r3, [r1], #4",
-            "strpl r3, [r12], #4",
-            "bpl 0b",
-            "adds r2, #4",
-            "0: subs r2, #1",
-            "ittt pl",
-            "ldrbpl r3, [r1], #1",
-            "strbpl r3, [r12], #1",
-            "bpl 0b",
-            "bx lr",
-            // Destination, length.
-            "function __aeabi_memclr",
-            "function __aeabi_memclr4",
-            "function __aeabi_memclr8",
-            "movs r2, #0",
-            // Destination, length, value.
-            "function __aeabi_memset",
-            "function __aeabi_memset4",
-            "function __aeabi_memset8",
-            "mov r12, r1",
-            "mov r1, r2",
-            "mov r2, r12",
-            // Destination, value, length.
-            "function memset",
-            "mov r12, r0",
-            "uxtb r1, r1",
-            "orr r1, r1, r1, lsl #8",
-            "orr r1, r1, r1, lsl #16",
-            "0: subs r2, #4",
-            "itt pl",
-            "strpl r1, [r12], #4",
-            "bpl 0b",
-            "adds r2, #4",
-            "0: subs r2, #1",
-            "itt pl",
-            "strbpl r1, [r12], #1",
-            "bpl 0b",
-            "bx lr",
-            // Two places, length.
-            "function memcmp",
-            "function bcmp",
-            "push {{r4, lr}}",
-            "mov r4, r0",
-            "movs r0, #0",
-            "0: subs r2, #1",
-            "bmi 1f",
-            "ldrb r3, [r4], #1",
-            "ldrb r12, [r1], #1",
-            "subs r0, r3, r12",
-            "beq 0b",
-            "1: pop {{r4, pc}}",
-        );
     };
 }

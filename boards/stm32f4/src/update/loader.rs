@@ -9,10 +9,7 @@ use canopen_node::{
     nmt, sdo,
     settings::Log,
 };
-use cortex_m::{
-    asm,
-    peripheral::{NVIC, SCB},
-};
+use cortex_m::{asm, peripheral::NVIC};
 #[cfg(not(feature = "signed"))]
 use program_update::Unsigned as Checked;
 #[cfg(feature = "signed")]
@@ -23,7 +20,7 @@ use program_update::{Area, Flash, Signed as Checked, header::HEADER_LEN};
 use rtic_core::Mutex;
 use stm32f4xx_hal::{pac::FLASH, rcc::RccExt};
 
-pub use super::boot::start_or_stay;
+pub use super::boot::{Stay, start_or_stay};
 use super::{
     areas::Areas,
     objects::{code, object},
@@ -34,7 +31,7 @@ use crate::{
     chip::{CHIP, RUN},
     clock,
     crystal::Crystal,
-    mailbox,
+    mailbox, reset,
     watchdog::{Task, Watchdog},
 };
 
@@ -203,9 +200,14 @@ pub struct Work {
 }
 
 impl Board {
-    /// As [`new`](Self::new), for the loader.
-    pub fn of_loader(chip: Peripherals, core: &cortex_m::Peripherals, crystal: Crystal) -> Self {
-        Self::with_clocks(chip, core, crystal, RccExt::constrain)
+    /// As [`new`](Self::new), for the loader that stays. The program has compared the crystal.
+    pub fn of_loader(
+        chip: Peripherals,
+        core: &cortex_m::Peripherals,
+        crystal: Crystal,
+        stay: &Stay,
+    ) -> Self {
+        Self::with_clocks(chip, core, crystal, stay.reset, RccExt::constrain)
     }
 
     /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.
@@ -213,11 +215,12 @@ impl Board {
         mut self,
         device: Device,
         place: &'static mut Place,
-        why: Why,
+        stay: Stay,
         can: C,
         pins: CanPins<C>,
         #[cfg(feature = "signed")] author: &'static Author,
     ) -> (Runner<C>, Work, Watchdog) {
+        let Stay { why, .. } = stay;
         // SAFETY: nothing else uses the flash. The loader runs in RAM, and reads what the flash has, not what a cache has.
         let flash = unsafe { FLASH::steal() };
         flash.acr().modify(|_, w| w.icen().clear_bit().dcen().clear_bit());
@@ -382,7 +385,7 @@ fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
         }
         Action::Reset => {
             mailbox::hand_over(runner.node(), Command::Start);
-            SCB::sys_reset();
+            reset::end_by_command();
         }
         Action::Verify | Action::Hash { .. } => {}
     }

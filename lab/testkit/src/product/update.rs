@@ -44,10 +44,8 @@ pub(super) const CHANGES: &[Change<'_>] = &[
     ),
     (
         "build.rs",
-        "        for arg in [&format!(\"-L{}\", output.display()), \"-Tlink.x\", \"-Tdefmt.x\", \"--nmagic\"] {\n            \
-         println!(\"cargo::rustc-link-arg-bins={arg}\");\n        }\n",
-        "        println!(\"cargo::rustc-link-arg-bins=-L{}\", output.display());\n        \
-         println!(\"cargo::rustc-link-arg-bins=--nmagic\");\n        \
+        "\"--icf=all\", \"-Tlink.x\", \"-Tdefmt.x\"] {\n            println!(\"cargo::rustc-link-arg-bins={arg}\");\n        }\n",
+        "\"--icf=all\"] {\n            println!(\"cargo::rustc-link-arg-bins={arg}\");\n        }\n        \
          for arg in [\"-Tlink.x\", \"-Tdefmt.x\"] {\n            \
          println!(\"cargo::rustc-link-arg-bin=@name@={arg}\");\n        }\n        \
          println!(\"cargo::rustc-link-arg-bin=@name@-loader=-Tloader.x\");\n",

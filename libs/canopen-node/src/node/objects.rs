@@ -191,6 +191,8 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             }
             Object::BitRateInUse => self.slave.bit_rate().in_use().kbit_per_s().into(),
             Object::Rescues => self.slave.bit_rate().rescues().into(),
+            Object::RestartCause => self.emergency.restart().map_or(0, |r| r.cause as u32),
+            Object::RestartAddress => self.emergency.restart().map_or(0, |r| r.address),
             Object::HighestSubIndex(highest) => highest.into(),
             Object::CobIdSdoRequest => u32::from(sdo::REQUEST_COB_ID) + node_id,
             Object::CobIdSdoResponse => u32::from(sdo::RESPONSE_COB_ID) + node_id,

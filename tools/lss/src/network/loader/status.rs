@@ -21,6 +21,7 @@ pub fn words(status: u32) -> String {
         6 => "the program is too long for it".into(),
         7 => "its flash is write-protected".into(),
         8 => "its supply is too low to write the flash".into(),
+        9 => "its program has failed five times in a row".into(),
         other => format!("status {other} of 1F57h, which is not known"),
     }
 }
