@@ -129,7 +129,9 @@ fn a_new_device_has_these_values() {
         (0x1200, 0, 2),
         (0x1200, 1, 0x640),
         (0x1200, 2, 0x5C0),
-        (0x2000, 0, 7),
+        (0x2000, 0, 9),
+        (0x2000, 8, 0),
+        (0x2000, 9, 0),
     ] {
         assert_eq!(board.number(index, sub_index), value, "{index:04X} sub {sub_index}");
     }

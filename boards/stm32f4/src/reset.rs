@@ -143,8 +143,11 @@ impl Reset {
             Some(RestartCause::CrystalStopped) => {
                 defmt::error!("reset because the crystal stopped");
             }
-            Some(RestartCause::NoCrystal | RestartCause::WrongCrystal) => {
-                defmt::error!("reset because of the crystal");
+            Some(RestartCause::NoCrystal) => {
+                defmt::error!("reset because the crystal did not start");
+            }
+            Some(RestartCause::WrongCrystal) => {
+                defmt::error!("reset because the crystal had {=u32} kHz", address);
             }
             Some(RestartCause::OtherClock) => defmt::error!(
                 "reset because the clock was not that of the crystal: RCC_PLLCFGR {=u32:#x}",

@@ -287,7 +287,7 @@ fn five_starts_that_fail_in_a_row_keep_the_loader_for_60_s() {
         let Runs::Loader(mut loader) = device.start_after(Cause::Failure).expect("power") else {
             panic!("the program after 5 failures")
         };
-        assert_eq!(values(&loader)[..3], [0, crc(&device.files[0]), 0]);
+        assert_eq!(values(&loader)[..3], [0, crc(&device.files[0]), 9 << 1]);
         assert_eq!(loader.poll(device.now.wrapping_add(60 * SECOND - 1)), None);
         device.now = device.now.wrapping_add(60 * SECOND);
         assert_eq!(loader.poll(device.now), Some(Action::Reset));
