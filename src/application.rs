@@ -1,14 +1,21 @@
 //! Your application: the objects of your product beside the node's own, and their behaviour. Edit this file.
 //!
-//! An object takes three lines, here a brightness of 0 to 100 percent:
+//! Here they are a lamp, which a client and an RPDO switch:
 //!
 //! ```
-//! # canopen_node::objects! { pub struct Application, values Value;
-//! 0x2100 {
-//!     0 "Brightness in percent" brightness: u8 = 50, rw in 0..=100;
+//! # use canopen_node::{objects, pdo::Rpdo};
+//! objects! {
+//!     /// The objects of the product, with their values.
+//!     pub struct Application, values Value;
+//!
+//!     0x6200 "Write output 8-bit" {
+//!         1 "Lamp" lamp: u8 = 0, rww in 0..=1;
+//!     }
 //! }
-//! # }
-//! # impl canopen_node::Application for Application {}
+//!
+//! impl canopen_node::Application for Application {
+//!     const RPDOS: &'static [Rpdo] = &[Rpdo::new(&[(0x6200, 1)])];
+//! }
 //! ```
 //!
 //! `cargo xtask eds` then adds it to the electronic data sheet. [`objects!`] explains the other types, accesses and

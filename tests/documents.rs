@@ -151,6 +151,16 @@ fn the_readme_names_the_emulator_before_the_first_adapter() {
 }
 
 #[test]
+fn the_rust_of_the_readme_is_compiled() {
+    let read = |path: &str| fs::read_to_string(workspace().join(path)).expect("it is there");
+    let (readme, tested) = (read("README.md"), read("src/application.rs").replace("//! ", ""));
+    let mut blocks = readme.split("```rust\n").skip(1).filter_map(|rest| rest.split_once("```"));
+    let (shown, _) = blocks.next().expect("it shows Rust");
+    assert!(tested.replace("//!", "").contains(shown), "the documentation of src/application.rs");
+    assert!(blocks.next().is_none());
+}
+
+#[test]
 fn prose_is_at_most_120_columns_wide() {
     let mut faults = Vec::new();
     for (document, text) in documents() {
