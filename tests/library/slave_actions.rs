@@ -1,8 +1,9 @@
-//! The actions of `lss_slave::Slave`: a loop that polls for them ends, in every state.
+//! The actions of `lss_slave::Slave`: a loop that polls for them ends, in every state, and the answer to a store comes when it
+//! may be sent.
 
 use lss_slave::{
     Action, BitRate, BitRateSetting, BitRates, BusEvent, Frame, Instant, NodeId, Settings, Slave,
-    lss::{Address, FastscanStep, Request, StoreError},
+    lss::{Address, FastscanStep, Request, Response, StoreError},
 };
 use testkit::{node_rig::ADDRESS, random::Random};
 
@@ -62,6 +63,8 @@ fn requests() -> Vec<Frame> {
 struct Run {
     slave: Slave,
     now: Instant,
+    /// Those that have begun and not ended.
+    stores: u32,
     seen: Seen,
 }
 
@@ -101,6 +104,11 @@ impl Run {
             Action::Listen(_) => self.seen.actions[2] = true,
             Action::ResumeTransmitting => self.seen.actions[3] = true,
             Action::FilterFrames => self.seen.actions[4] = true,
+            Action::Transmit(frame) => {
+                assert_eq!(frame.data()[0], 0x17, "the others are reactions to a frame");
+                assert!(self.slave.may_send(), "{:?}", self.slave);
+                self.seen.has_stored = true;
+            }
             action => panic!("{action:?} is a reaction to a frame"),
         }
     }
@@ -111,12 +119,7 @@ impl Run {
             0..3 => {
                 let frame = random.pick(requests);
                 match self.slave.handle_frame(&frame, self.now) {
-                    Some(Action::Store) => {
-                        self.poll("a request to store");
-                        let outcome = random.pick(&[Ok(()), Err(StoreError::Full)]);
-                        let _ = self.slave.handle_stored(outcome, self.now);
-                        self.seen.has_stored = true;
-                    }
+                    Some(Action::Store) => self.stores += 1,
                     Some(Action::ResetCommunication) => self.slave.reset_communication(),
                     _ => {}
                 }
@@ -132,7 +135,16 @@ impl Run {
             }
             6 => self.slave.note_asked(),
             7 => self.slave.note_sent(self.now),
+            // As a program does that a debugger has halted: now and then for half a turn of the count, or a whole one.
+            8 if random.one_in(4) => {
+                let minutes = random.pick(&[36, 71, 72]);
+                self.now = self.now.plus_micros((minutes * 60_000_000_u64) as u32);
+            }
             8 => self.now = self.now.plus_micros(random.within(0..5_000_000) as u32),
+            9 if self.stores > 0 => {
+                self.stores -= 1;
+                self.slave.handle_stored(random.pick(&[Ok(()), Err(StoreError::Full)]));
+            }
             _ => self.now = self.slave.poll_at().unwrap_or(self.now),
         }
         self.poll("time or a note");
@@ -145,7 +157,7 @@ fn a_loop_that_polls_a_slave_ends_in_every_state() {
     let mut random = Random::from_environment();
     let mut seen = Seen::default();
     for slave in slaves().cycle().take(8 * 30) {
-        let mut run = Run { slave, now: Instant::from_micros(random.u32()), seen };
+        let mut run = Run { slave, now: Instant::from_micros(random.u32()), stores: 0, seen };
         run.poll("power-on");
         for _ in 0..300 {
             run.step(&mut random, &requests);
@@ -166,4 +178,76 @@ fn a_slave_that_answers_the_request_that_proves_its_rate_has_nothing_due() {
     assert!(slave.handle_frame(&Request::IdentifyNonConfigured.to_frame(), now).is_some());
     while slave.poll(now).is_some() {}
     assert_eq!(slave.poll_at(), None);
+}
+
+/// A slave at 500 kbit/s whose home is proven by this session: it is in LSS configuration state, and a store has begun.
+fn in_a_store(now: Instant) -> Slave {
+    let rates = BitRates::possible(40_000_000);
+    let mut slave =
+        Slave::new(ADDRESS, rates, Settings::new(BitRate::Kbit500.into())).with_rescue();
+    let bit_timing = Request::ConfigureBitTiming { table: 0, index: BitRate::Kbit125.index() };
+    for request in [Request::SwitchToConfiguration, bit_timing] {
+        let _ = slave.handle_frame(&request.to_frame(), now);
+        while slave.poll(now).is_some() {}
+    }
+    let action = slave.handle_frame(&Request::StoreConfiguration.to_frame(), now);
+    assert_eq!(action, Some(Action::Store));
+    slave
+}
+
+fn stored(outcome: Result<(), StoreError>) -> Action {
+    Action::Transmit(Response::StoreConfiguration(outcome).to_frame())
+}
+
+#[test]
+fn the_answer_to_a_store_that_ends_in_the_silence_of_a_switch_follows_it() {
+    for (store_us, delay_ms) in
+        (0..=3_000).step_by(250).flat_map(|it| [0, 1, 2, 20].map(|ms| (it, ms)))
+    {
+        let start = Instant::from_micros(u32::MAX - 1_000);
+        let mut slave = in_a_store(start);
+        let _ = slave.handle_frame(&Request::ActivateBitTiming(delay_ms).to_frame(), start);
+        let end_us = 2_000 * u32::from(delay_ms);
+        let mut answered_us = Vec::new();
+        for us in (0..=50_000).step_by(250) {
+            let now = start.plus_micros(us);
+            if us == store_us {
+                slave.handle_stored(Ok(()));
+            }
+            while let Some(action) = slave.poll(now) {
+                if action == stored(Ok(())) {
+                    answered_us.push(us);
+                }
+            }
+        }
+        assert_eq!(answered_us, [store_us.max(end_us)], "store {store_us} us, delay {delay_ms} ms");
+    }
+}
+
+#[test]
+fn each_request_to_store_has_an_answer_with_the_outcome_of_the_last() {
+    let now = Instant::from_micros(0);
+    let mut slave = in_a_store(now);
+    assert_eq!(
+        slave.handle_frame(&Request::StoreConfiguration.to_frame(), now),
+        Some(Action::Store)
+    );
+    slave.handle_stored(Ok(()));
+    slave.handle_stored(Err(StoreError::MediumAccess));
+    let failed = stored(Err(StoreError::MediumAccess));
+    assert_eq!([(); 3].map(|()| slave.poll(now)), [Some(failed), Some(failed), None]);
+}
+
+#[test]
+fn the_answer_to_a_store_is_a_frame_that_somebody_must_acknowledge() {
+    let now = Instant::from_micros(0);
+    let mut slave = in_a_store(now);
+    // The rate after the switch is not proven: a frame that nobody acknowledges pauses there after 100 ms.
+    let _ = slave.handle_frame(&Request::ActivateBitTiming(0).to_frame(), now);
+    slave.handle_stored(Ok(()));
+    let actions: Vec<_> = std::iter::from_fn(|| slave.poll(now)).collect();
+    assert_eq!(actions.last(), Some(&stored(Ok(()))));
+    let pause = now.plus_micros(100_000);
+    assert_eq!(slave.poll_at(), Some(pause));
+    assert_eq!(slave.poll(pause), Some(Action::StopTransmitting));
 }

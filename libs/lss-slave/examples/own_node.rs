@@ -66,8 +66,7 @@ impl Node {
             Action::Transmit(answer) => self.send(answer, now),
             Action::Store => {
                 let outcome = self.log.store(self.slave.lss().pending());
-                let answer = self.slave.handle_stored(outcome.map_err(StoreError::from), now);
-                self.send(answer, now);
+                self.slave.handle_stored(outcome.map_err(StoreError::from));
             }
             Action::ResetCommunication => self.reset_communication(),
             Action::SetBitRate(rate) => println!("  takes part at {rate}"),

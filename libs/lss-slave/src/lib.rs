@@ -30,7 +30,11 @@
 //!         while let Some(action) = reaction.take().or_else(|| slave.poll(now)) {
 //!             let answer = match action {
 //!                 Action::Transmit(answer) => Some(answer),
-//!                 Action::Store => Some(slave.handle_stored(board.store(slave.lss().pending()), now)),
+//!                 Action::Store => {
+//!                     let outcome = board.store(slave.lss().pending());
+//!                     slave.handle_stored(outcome);
+//!                     None
+//!                 }
 //!                 Action::ResetCommunication => {
 //!                     slave.reset_communication();
 //!                     boot_up = slave.boot_up();

@@ -15,6 +15,7 @@ use crate::{
 /// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's
 ///   errors: only rescue and automatic detection need it;
 /// - [`note_sent`](Self::note_sent) with every frame that the node sends apart from LSS;
+/// - [`handle_stored`](Self::handle_stored) with the outcome of each [`Action::Store`];
 /// - [`reset_communication`](Self::reset_communication) when the node performs that NMT command;
 /// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), until it returns
 ///   `None`.
@@ -26,6 +27,8 @@ use crate::{
 pub struct Slave {
     lss: StateMachine,
     bit_rate: Control,
+    /// The outcome of the last store, and the answers with it that are still to be sent.
+    stored: (Result<(), StoreError>, u8),
 }
 
 /// An action for the node to carry out.
@@ -35,7 +38,7 @@ pub struct Slave {
 pub enum Action {
     /// Send this answer as soon as a mailbox is free; the slave does not repeat it.
     Transmit(Frame),
-    /// Make the [pending](StateMachine::pending) settings persistent, and send what [`Slave::handle_stored`] returns.
+    /// Make the [pending](StateMachine::pending) settings persistent, and pass the outcome to [`Slave::handle_stored`].
     Store,
     /// Perform NMT reset communication, with [`Slave::reset_communication`]: the slave had no node-ID until now.
     ResetCommunication,
@@ -61,6 +64,7 @@ impl Slave {
         Self {
             lss: StateMachine::new(address, rates, settings.node_id, bit_rate),
             bit_rate: Control::new(bit_rate, rates),
+            stored: (Ok(()), 0),
         }
     }
 
@@ -142,10 +146,11 @@ impl Slave {
         self.bit_rate.note_asked();
     }
 
-    /// Returns the answer to store configuration, to be sent, with the outcome of [`Action::Store`].
-    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>, now: Instant) -> Frame {
-        self.note_sent(now);
-        Response::StoreConfiguration(outcome).to_frame()
+    /// Records the outcome of [`Action::Store`]. [`poll`](Self::poll) returns the answer to store configuration when it
+    /// may be sent: after the silence of a switch, if one has begun.
+    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+        // Each store makes all that is pending persistent: the last outcome holds for those before it, too.
+        self.stored = (outcome, self.stored.1.saturating_add(1));
     }
 
     /// Performs NMT reset communication: activates the pending node-ID and enters LSS waiting state. A node with a
@@ -171,7 +176,10 @@ impl Slave {
     #[inline(never)] // Inlined, it takes 500 bytes more.
     pub fn poll(&mut self, now: Instant) -> Option<Action> {
         loop {
-            return Some(match self.bit_rate.poll(self.lss.state(), now)? {
+            let Some(next) = self.bit_rate.poll(self.lss.state(), now) else {
+                return self.answer_store(now);
+            };
+            return Some(match next {
                 Next::StopTransmitting | Next::Step(Step::DropFrames) => Action::StopTransmitting,
                 Next::Activate { silent_until } => {
                     let setting = self.lss.activate_bit_rate(self.bit_rate.active());
@@ -191,6 +199,15 @@ impl Slave {
                 Next::Settled => Action::FilterFrames,
             });
         }
+    }
+
+    /// The answer to a store that has ended, if it may be sent.
+    fn answer_store(&mut self, now: Instant) -> Option<Action> {
+        let (outcome, waiting) = self.stored;
+        let rest = waiting.checked_sub(1).filter(|_| self.may_send())?;
+        self.stored.1 = rest;
+        self.note_sent(now);
+        Some(Action::Transmit(Response::StoreConfiguration(outcome).to_frame()))
     }
 
     /// The latest time of the next [`poll`](Self::poll), if there is no other call before.
