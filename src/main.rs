@@ -16,7 +16,6 @@ mod app {
         application::{Application, Node},
         device::{self, DEVICE},
     };
-    use stm32f4xx_hal::pac::Interrupt;
 
     use crate::pins::{Can, Pins};
 
@@ -94,12 +93,12 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]);
+        cx.local.watchdog.step();
     }
 
     /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
-    /// configuration: 20 ms are allowed. The interrupt is that of an unused USART.
-    #[task(binds = USART1, local = [storage], shared = [runner], priority = 1)]
+    /// configuration: 20 ms are allowed. The interrupt is that of the clocks, which nobody else needs.
+    #[task(binds = RCC, local = [storage], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         cx.local.storage.store(&mut cx.shared.runner);
     }

@@ -15,7 +15,6 @@ mod app {
         update::loader::{self, Place, Work},
     };
     use firmware::device::{self, DEVICE};
-    use stm32f4xx_hal::pac::Interrupt;
 
     use crate::pins::{Can, Pins};
 
@@ -94,6 +93,6 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        cx.local.watchdog.step([Interrupt::CAN1_RX0, Interrupt::CAN1_TX, Interrupt::CAN1_SCE]);
+        cx.local.watchdog.step();
     }
 }

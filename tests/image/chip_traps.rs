@@ -196,6 +196,27 @@ fn a_crystal_that_does_not_start_causes_a_reset_and_a_log_twice_a_second() {
     assert_eq!((lines, board.findings()), (resets.len() - 1, vec![]));
 }
 
+/// As a task that changes the mode of another pin of the port does if it is interrupted between reading and writing.
+#[test]
+fn the_transmit_pin_gets_its_mode_again_within_250_ms_if_other_code_takes_it_back() {
+    const GPIOB_MODER: u32 = 0x4002_0400;
+    let mut rig = node_40(0);
+    let access = |rig: &ImageRig| Access {
+        address: GPIOB_MODER,
+        width: Width::Word,
+        now: rig.network.now(),
+        pc: 0,
+    };
+    let moder = |rig: &ImageRig| rig.network.board(0).chip().read(access(rig)).expect("a register");
+    let right = moder(&rig);
+    let output = right & !(0b11 << 18) | 0b01 << 18;
+    rig.network.board(0).chip().write(access(&rig), output).expect("a register");
+    assert_eq!(moder(&rig), output);
+    rig.network.run_for(Time::from_ms(250));
+    assert_eq!(moder(&rig), right);
+    assert_eq!(rig.lss("04 01, 5E"), ["5E 40"]);
+}
+
 #[test]
 fn parts_as_slow_or_as_quick_as_allowed_are_enough_to_answer_and_to_store() {
     let usual = ChipVariant::default();

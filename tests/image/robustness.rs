@@ -26,11 +26,11 @@ fn the_watchdog_resets_a_board_and_the_log_names_the_silent_task() {
         ("CAN1_TX", JUMP_TO_ITSELF, ALL_STOP),
         ("CAN1_SCE", JUMP_TO_ITSELF, ALL_STOP),
         ("TIM2", JUMP_TO_ITSELF, ALL_STOP),
-        ("USART1", JUMP_TO_ITSELF, "silent: the task that stores"),
+        ("RCC", JUMP_TO_ITSELF, "silent: the task that stores"),
         ("CAN1_TX", RETURN, "silent: the task of CAN TX"),
         ("CAN1_SCE", RETURN, "silent: the task of CAN SCE"),
         ("TIM2", RETURN, ALL_STOP),
-        ("USART1", RETURN, "silent: the task that stores"),
+        ("RCC", RETURN, "silent: the task that stores"),
     ];
     for (handler, instruction, named) in all.into_iter().step_by(every(2)) {
         let mut rig = node_40(0);

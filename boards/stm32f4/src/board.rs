@@ -117,6 +117,7 @@ impl Board {
         let can = Controller::new(can, pins, &mut self.rcc);
         // The start may have erased a sector, so the first roll call comes later.
         self.watchdog.feed();
+        self.watchdog.call::<C>();
         (Runner::new(node, can, self.alarm), Storage { log }, self.watchdog)
     }
 }

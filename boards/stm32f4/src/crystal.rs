@@ -128,7 +128,8 @@ pub fn check(crystal: Crystal, rcc: &RCC) {
 /// Handles the failure of the crystal: the core continues at 16 MHz, and at a tenth of its bit rate the controller
 /// would disturb the bus. The next start logs the failure.
 // SAFETY: the handler that cortex-m-rt declares under this name.
-#[unsafe(no_mangle)]
-extern "C" fn NonMaskableInt() -> ! {
+#[cfg_attr(feature = "handlers", unsafe(no_mangle))]
+#[allow(non_snake_case, reason = "the name of cortex-m-rt")]
+pub extern "C" fn NonMaskableInt() -> ! {
     reset::end(RestartCause::CrystalStopped, 0);
 }

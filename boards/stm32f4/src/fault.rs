@@ -43,10 +43,14 @@ pub fn guard_stack(mpu: &MPU) {
 }
 
 /// The entry of the exception. Without room for the report it resets the stack pointer: nothing returns from here.
+///
+/// # Safety
+/// Only the exception, or a handler of it that has changed neither the stack nor the registers, jumps here.
 // SAFETY: the handler that cortex-m-rt declares under this name; it does not return, so it may use every register.
 #[unsafe(naked)]
-#[unsafe(no_mangle)]
-unsafe extern "C" fn HardFault() -> ! {
+#[cfg_attr(feature = "handlers", unsafe(no_mangle))]
+#[allow(non_snake_case, reason = "the name of cortex-m-rt")]
+pub unsafe extern "C" fn HardFault() -> ! {
     naked_asm!(
         "mrs r0, msp",
         "movw r1, #:lower16:({bottom} + {least})",

@@ -45,6 +45,12 @@ pub mod update;
 #[cfg(target_os = "none")]
 pub mod watchdog;
 
+/// The exceptions of a product. They have the names that cortex-m-rt calls, unless the feature `handlers` is off.
+#[cfg(target_os = "none")]
+pub mod handlers {
+    pub use crate::{crystal::NonMaskableInt, fault::HardFault, start::__pre_init};
+}
+
 #[cfg(target_os = "none")]
 pub use crate::{
     board::Board,

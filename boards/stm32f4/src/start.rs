@@ -19,10 +19,13 @@ unsafe extern "C" {
 
 /// Sets the vector table, and disables SysTick, MPU and all interrupts, none of which stays pending. RTIC enables
 /// interrupts after `init`. Until `Reset` calls it, a loader's interrupt finds the loader's handler.
+///
+/// # Safety
+/// Only `Reset` calls it, before anything else runs.
 // SAFETY: the function that cortex-m-rt declares under this name; it uses neither variables nor the stack.
 #[unsafe(naked)]
-#[unsafe(no_mangle)]
-unsafe extern "C" fn __pre_init() {
+#[cfg_attr(feature = "handlers", unsafe(no_mangle))]
+pub unsafe extern "C" fn __pre_init() {
     naked_asm!(
         "cpsid i",
         "ldr r0, =0xE000E000",   // the registers of the core

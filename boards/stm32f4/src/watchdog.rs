@@ -9,6 +9,7 @@ use stm32f4xx_hal::{
 
 pub use crate::task::Task;
 use crate::{
+    can::Peripheral,
     reset,
     task::{self, TASKS},
 };
@@ -21,8 +22,8 @@ const TIMEOUT_MS: u32 = 2_000;
 /// The steps of the indicators between two roll calls: four a second.
 const STEPS: u8 = 250 / indicator::STEP_MS as u8;
 
-/// The interrupt of the task that stores, which belongs to an unused USART.
-pub(crate) const STORE: Interrupt = Interrupt::USART1;
+/// The interrupt of the task that stores: that of the clocks. It has no other user, since the board has the clocks.
+pub(crate) const STORE: Interrupt = Interrupt::RCC;
 
 /// Whether all tasks have answered the latest roll call that is over.
 #[cfg(feature = "update")]
@@ -59,6 +60,8 @@ pub struct Watchdog {
     /// A bit for each task.
     expected: u16,
     steps: u8,
+    /// Those of the CAN controller.
+    interrupts: &'static [Interrupt],
 }
 
 impl Watchdog {
@@ -68,9 +71,14 @@ impl Watchdog {
         let mut hardware = IndependentWatchdog::new(hardware);
         hardware.start(fugit::MillisDurationU32::from_ticks(TIMEOUT_MS));
         hardware.stop_on_debug(&debug, true);
-        let mut watchdog = Self { hardware, debug, expected: Task::ALL, steps: 0 };
+        let mut watchdog = Self { hardware, debug, expected: Task::ALL, steps: 0, interrupts: &[] };
         watchdog.feed();
         watchdog
+    }
+
+    /// Triggers the tasks of this controller in each roll call.
+    pub(crate) fn call<C: Peripheral>(&mut self) {
+        self.interrupts = const { &C::INTERRUPTS };
     }
 
     /// Also waits for a task of the product, which must [answer](Task::answer) at least four times a second.
@@ -86,8 +94,8 @@ impl Watchdog {
     }
 
     /// Counts a step of the indicators. Four times a second, feeds the watchdog if all tasks have answered, begins the
-    /// next roll call, and triggers the tasks that do not run by themselves, by the interrupts of the CAN controller.
-    pub fn step(&mut self, interrupts: [Interrupt; 3]) {
+    /// next roll call, and triggers the tasks that do not run by themselves.
+    pub fn step(&mut self) {
         self.steps = (self.steps + 1) % STEPS;
         if self.steps != 0 {
             return;
@@ -97,7 +105,7 @@ impl Watchdog {
         if missing == 0 {
             self.feed();
         }
-        interrupts.into_iter().for_each(NVIC::pend);
+        self.interrupts.iter().copied().for_each(NVIC::pend);
         NVIC::pend(STORE);
     }
 }

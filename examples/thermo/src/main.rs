@@ -17,7 +17,6 @@ mod app {
         application::{Application, DEVICE_PROFILE, Node, SENSOR_FAULT},
         device::{self, DEVICE},
     };
-    use stm32f4xx_hal::pac::Interrupt;
 
     use crate::{
         pins::{Can, Pins, Ports, Relays},
@@ -105,7 +104,7 @@ mod app {
             return;
         };
         cx.local.indicators.light(lit);
-        cx.local.watchdog.step([Interrupt::CAN2_RX0, Interrupt::CAN2_TX, Interrupt::CAN2_SCE]);
+        cx.local.watchdog.step();
     }
 
     /// Reads the sensors ten times a second, and sets the relays.
@@ -128,8 +127,8 @@ mod app {
     }
 
     /// Writes to the flash, at a priority below all bus tasks. If it runs late, so is the answer to store
-    /// configuration: 20 ms are allowed. The interrupt is that of an unused USART.
-    #[task(binds = USART1, local = [storage], shared = [runner], priority = 1)]
+    /// configuration: 20 ms are allowed. The interrupt is that of the clocks, which nobody else needs.
+    #[task(binds = RCC, local = [storage], shared = [runner], priority = 1)]
     fn store(mut cx: store::Context) {
         cx.local.storage.store(&mut cx.shared.runner);
     }

@@ -275,6 +275,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     /// Checks the controller, a few times a second: it need not report its recovery from bus-off, may not have started,
     /// and as a listener may receive nothing on a dominant bus.
     fn supervise(&mut self) {
+        self.bus.can.supervise();
         let is_deaf = self.bus.is_listening()
             && !self.bus.has_heard
             && self.bus.can.sample().is_some_and(|sample| !sample.is_recessive);

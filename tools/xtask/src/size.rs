@@ -59,7 +59,7 @@ fn report(elf: &[u8], chip: Part, has_budget: bool) -> anyhow::Result<(String, u
 /// The part that a function belongs to, by text in its name; the first match counts. Inlined code counts as its
 /// caller's.
 const PARTS: [(&str, &[&str]); 14] = [
-    ("tasks", &["_RX0", "_TX", "_SCE", "TIM2", "TIM5", "USART1", "::app::idle"]),
+    ("tasks", &["_RX0", "_TX", "_SCE", "TIM2", "TIM5", "RCC", "::app::idle"]),
     (
         "application",
         &["firmware::application", "example_", "canopen_node::application", "stm32f4xx_hal::adc"],

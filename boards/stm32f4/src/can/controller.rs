@@ -177,6 +177,10 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
         status & ANY_SENT != 0
     }
 
+    fn supervise(&mut self) {
+        self.transmit_pin.assert_mode();
+    }
+
     fn is_idle(&mut self) -> bool {
         self.registers.tsr().read().bits() & ALL_EMPTY == ALL_EMPTY
     }

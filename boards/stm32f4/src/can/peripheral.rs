@@ -5,7 +5,7 @@ use core::ops::Deref;
 use stm32f4xx_hal::{
     can,
     gpio::{PinPull, PinSpeed},
-    pac::{self, can1::RegisterBlock},
+    pac::{self, Interrupt, can1::RegisterBlock},
     rcc::{Enable, Rcc},
 };
 
@@ -21,6 +21,8 @@ pub trait Peripheral:
     const NUMBER: u32;
     /// The first filter bank.
     const FIRST_BANK: usize;
+    /// Its interrupts, to which `main.rs` binds the tasks of reception, of transmission and of its status.
+    const INTERRUPTS: [Interrupt; 3];
 
     /// The controller with its receive pin, after a reset.
     fn connect(self, receive: Self::Rx, rcc: &mut Rcc) -> Self::Connected;
@@ -45,12 +47,16 @@ pub trait Peripheral:
 }
 
 macro_rules! peripheral {
-    ($Can:ident $number:literal, filters of $Filters:ident from bank $first:literal) => {
+    ($Can:ident $number:literal, $interrupts:tt, filters of $Filters:ident from bank $first:literal) => {
         impl Peripheral for pac::$Can {
             type Connected = can::Can<Self>;
             type Filters = pac::$Filters;
             const NUMBER: u32 = $number;
             const FIRST_BANK: usize = $first;
+            const INTERRUPTS: [Interrupt; 3] = {
+                use Interrupt::*;
+                $interrupts
+            };
 
             fn connect(self, receive: Self::Rx, rcc: &mut Rcc) -> Self::Connected {
                 can::Can::rx(self, receive, rcc)
@@ -65,8 +71,8 @@ macro_rules! peripheral {
     };
 }
 
-peripheral!(CAN1 1, filters of CAN1 from bank 0);
+peripheral!(CAN1 1, [CAN1_RX0, CAN1_TX, CAN1_SCE], filters of CAN1 from bank 0);
 // CAN2 has no filters, and uses banks of CAN1 (RM0090, 32.9.4). After a reset those from 14 on belong to it (CAN2SB).
-peripheral!(CAN2 2, filters of CAN1 from bank 14);
+peripheral!(CAN2 2, [CAN2_RX0, CAN2_TX, CAN2_SCE], filters of CAN1 from bank 14);
 #[cfg(any(feature = "stm32f413", feature = "stm32f423"))]
-peripheral!(CAN3 3, filters of CAN3 from bank 0);
+peripheral!(CAN3 3, [CAN3_RX0, CAN3_TX, CAN3_SCE], filters of CAN3 from bank 0);

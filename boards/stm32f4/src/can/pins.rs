@@ -59,7 +59,7 @@ where
     fn into_transmit_pin(self) -> TransmitPin {
         C::Tx::from(self.into_push_pull_output_in_state(PinState::High)).set_speed(Speed::High);
         let port_offset = const { PORT_DISTANCE * (PORT as usize - 'A' as usize) };
-        let mut pin = TransmitPin { port_offset, shift: const { 2 * NUMBER as u32 } };
+        let mut pin = TransmitPin { port_offset, shift: const { 2 * NUMBER as u32 }, mode: OUTPUT };
         pin.rest();
         pin
     }
@@ -81,24 +81,29 @@ pub struct TransmitPin {
     port_offset: usize,
     /// The first bit of the pin's mode in GPIOx_MODER.
     shift: u32,
+    mode: u32,
 }
 
 impl TransmitPin {
     /// Gives the pin to the controller.
     pub fn connect(&mut self) {
-        self.set_mode(ALTERNATE_FUNCTION);
+        self.mode = ALTERNATE_FUNCTION;
+        self.assert_mode();
     }
 
     /// Holds the line recessive, whatever the controller drives.
     pub fn rest(&mut self) {
-        self.set_mode(OUTPUT);
+        self.mode = OUTPUT;
+        self.assert_mode();
     }
 
-    fn set_mode(&mut self, mode: u32) {
+    /// Sets the mode again: a task of the product that changes the mode of another pin of the port may be interrupted
+    /// between reading and writing the register, and take back what the interrupt has set.
+    pub fn assert_mode(&mut self) {
         // SAFETY: the ports have equal registers at equal distances.
         let port = unsafe { &*GPIOA::ptr().byte_add(self.port_offset) };
-        let (mask, mode) = (0b11_u32.wrapping_shl(self.shift), mode.wrapping_shl(self.shift));
-        // SAFETY: only the bits of this pin change, and no other code writes pin modes while tasks run.
+        let (mask, mode) = (0b11_u32.wrapping_shl(self.shift), self.mode.wrapping_shl(self.shift));
+        // SAFETY: only the bits of this pin change.
         port.moder().modify(|r, w| unsafe { w.bits(r.bits() & !mask | mode) });
     }
 }

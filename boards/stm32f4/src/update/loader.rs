@@ -267,6 +267,7 @@ impl Board {
         node.application_mut().handle(Event::BitRate(bit_rate));
         let can = Controller::new(can, pins, &mut self.rcc);
         self.watchdog.feed();
+        self.watchdog.call::<C>();
         let work = Work {
             has_reported: false,
             #[cfg(feature = "signed")]

@@ -26,6 +26,9 @@ pub trait Controller {
     /// Whether a frame was sent and acknowledged since the last call. A dropped one does not count.
     fn take_sent(&mut self) -> bool;
 
+    /// Puts right, a few times a second, what other code on the chip may have changed.
+    fn supervise(&mut self) {}
+
     /// Whether it has no frame to send.
     fn is_idle(&mut self) -> bool;
 
