@@ -215,7 +215,7 @@ impl Bench {
         let words = |bytes: Option<&[u8]>| bytes.map_or("no answer".to_owned(), board::text);
         let wanted = words(Some(expected).filter(|bytes| !bytes.is_empty()));
         let seen = words(answer.as_ref().map(|answer| answer.frame.data()));
-        self.report.expect(what, is_good, seen, wanted);
+        self.report.under(service(request)).expect(what, is_good, seen, wanted);
         Ok(())
     }
 
@@ -239,6 +239,23 @@ impl Bench {
         }
         self.bus.request(Request::SwitchToWaiting)?;
         Ok(missing)
+    }
+}
+
+/// The service of CiA 305 that a request belongs to.
+fn service(request: &[u8]) -> &'static str {
+    match request {
+        [0x04, ..] => "CiA 305, switch state global",
+        [0x11, ..] => "CiA 305, configure node-ID",
+        [0x13, ..] => "CiA 305, configure bit timing parameters",
+        [0x17, ..] => "CiA 305, store configuration",
+        [0x40..=0x43, ..] => "CiA 305, switch state selective",
+        [0x46..=0x4B, ..] => "CiA 305, identify remote slave",
+        [0x4C, ..] => "CiA 305, identify non-configured remote slave",
+        [0x51, ..] => "CiA 305, Fastscan",
+        [0x5A..=0x5D, ..] => "CiA 305, inquire identity",
+        [0x5E, ..] => "CiA 305, inquire node-ID",
+        _ => "CiA 305, LSS protocols",
     }
 }
 

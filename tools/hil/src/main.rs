@@ -31,7 +31,7 @@ use bus::Bus;
 use conformance::{Identity, Subject};
 use person::Person;
 use product::Product;
-use report::Report;
+use report::{Head, Report};
 use stop::Stop;
 
 /// Check flashed boards through a CAN adapter, and report
@@ -65,6 +65,9 @@ struct Arguments {
     /// session needs and the product lacks is skipped
     #[arg(long, value_name = "EDS", conflicts_with = "conformance")]
     eds: Option<PathBuf>,
+    /// The chip of the boards, for the head of the report: no service tells it
+    #[arg(long, value_name = "CHIP", conflicts_with = "conformance")]
+    chip: Option<String>,
     /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
     ask: Ask,
@@ -98,7 +101,7 @@ enum Ask {
 }
 
 const EXAMPLES: &str = "Examples:
-  cargo hil --adapter slcan:/dev/ttyACM0 --report first-board
+  cargo hil --adapter slcan:/dev/ttyACM0 --chip stm32f407 --report first-board
   cargo hil --adapter socketcan:can0 --quick
   cargo hil --adapter socketcan:can0 --eds ../lamp/lamp.eds
   cargo hil --adapter socketcan:can0 --conformance eds/io.eds --bit-rate 500 --report io
@@ -152,11 +155,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     }
 
     let product = Product::new(arguments.eds.as_deref(), &arguments.identity)?;
-    let mut report = Report::new(arguments.adapter.to_string());
-    report.begin("bench");
+    let adapter = arguments.adapter.to_string();
+    let head = Head::new(product.to_string(), arguments.chip.as_deref(), adapter);
+    let mut report = Report::new(head);
+    report.begin("bench", "");
     let report = match arguments.adapter.connect() {
         Ok(adapter) => {
-            report.adapter = adapter.description();
+            report.head.adapter = adapter.description();
             report.bench(&format!("adapter: {}", adapter.description()));
             let is_asked = match arguments.ask {
                 Ask::Auto => io::stdin().is_terminal(),

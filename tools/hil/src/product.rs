@@ -1,6 +1,6 @@
 //! The product whose boards are tested: this firmware, or another one by its data sheet or its identity.
 
-use std::path::Path;
+use std::{fmt, path::Path};
 
 use ::conformance::{eds::Eds, lss::Feature};
 use anyhow::{Context, ensure};
@@ -128,6 +128,13 @@ impl Product {
 
     pub fn lacks(&self, feature: Feature) -> bool {
         self.without.contains(&feature)
+    }
+}
+
+impl fmt::Display for Product {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { source, vendor_id, product_code, .. } = self;
+        write!(f, "vendor-ID {vendor_id:08X}, product code {product_code:08X}, by {source}")
     }
 }
 

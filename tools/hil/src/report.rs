@@ -1,5 +1,6 @@
 //! The report of a run: what was seen, what differs from the expectation, and what was not tried.
 
+mod head;
 mod html;
 mod json;
 mod text;
@@ -11,6 +12,8 @@ use std::{
 };
 
 use serde::Serialize;
+
+pub use head::Head;
 
 /// The outcome of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -31,8 +34,10 @@ pub struct Check {
     pub outcome: Outcome,
     /// What was seen, or why it was not tried.
     pub seen: String,
-    /// What was expected instead, if it failed.
+    /// What was expected; `None` if it was not tried.
     pub expected: Option<String>,
+    /// The service of CiA 305, the section of CiA 301, or the page that demands it.
+    pub rule: &'static str,
 }
 
 /// The time from a request to its answer, at the computer.
@@ -68,7 +73,7 @@ pub enum Left {
 }
 
 pub struct Report {
-    pub adapter: String,
+    pub head: Head,
     pub bench: Vec<String>,
     pub boards: Vec<String>,
     pub checks: Vec<Check>,
@@ -79,12 +84,14 @@ pub struct Report {
     pub left: Left,
     begin: Instant,
     session: &'static str,
+    /// The rule of the session, and that of the next check, if it has its own.
+    rule: (&'static str, Option<&'static str>),
 }
 
 impl Report {
-    pub fn new(adapter: String) -> Self {
+    pub fn new(head: Head) -> Self {
         Self {
-            adapter,
+            head,
             bench: Vec::new(),
             boards: Vec::new(),
             checks: Vec::new(),
@@ -94,6 +101,7 @@ impl Report {
             left: Left::Untouched,
             begin: Instant::now(),
             session: "bench",
+            rule: ("", None),
         }
     }
 
@@ -114,14 +122,17 @@ impl Report {
         self.boards.push(line);
     }
 
-    /// Begins a session: the checks that follow belong to it.
-    pub fn begin(&mut self, session: &'static str) {
+    /// Begins a session: the checks that follow belong to it, and to its rule.
+    pub fn begin(&mut self, session: &'static str, rule: &'static str) {
         println!("{session} ({} s)", self.begin.elapsed().as_secs());
         self.session = session;
+        self.rule = (rule, None);
     }
 
-    pub fn passed(&mut self, what: impl Into<String>, seen: impl Into<String>) {
-        self.add(what.into(), Outcome::Passed, seen.into(), None);
+    /// Gives the next check a rule of its own.
+    pub fn under(&mut self, rule: &'static str) -> &mut Self {
+        self.rule.1 = Some(rule);
+        self
     }
 
     pub fn failed(
@@ -145,10 +156,8 @@ impl Report {
         seen: impl Into<String>,
         expected: impl Into<String>,
     ) {
-        match is_good {
-            true => self.passed(what, seen),
-            false => self.failed(what, seen, expected),
-        }
+        let outcome = if is_good { Outcome::Passed } else { Outcome::Failed };
+        self.add(what.into(), outcome, seen.into(), Some(expected.into()));
     }
 
     /// Adds a check that passes if the text seen is the expected one.
@@ -163,7 +172,8 @@ impl Report {
     }
 
     fn add(&mut self, what: String, outcome: Outcome, seen: String, expected: Option<String>) {
-        let check = Check { session: self.session, what, outcome, seen, expected };
+        let rule = self.rule.1.take().unwrap_or(self.rule.0);
+        let check = Check { session: self.session, what, outcome, seen, expected, rule };
         println!("{}", text::line(&check));
         self.checks.push(check);
     }

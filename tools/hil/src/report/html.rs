@@ -24,19 +24,22 @@ pub fn whole(report: &Report) -> String {
             Outcome::NotTried => "not",
         };
         let outcome = text::outcome(check);
-        let (what, seen) = (escape(&check.what), escape(&text::seen(check)));
-        rows += &format!(
-            "<tr class=\"{class}\"><td>{}</td><td>{what}</td><td>{outcome}</td><td>{seen}</td></tr>\n",
-            check.session
-        );
+        let expected = check.expected.as_deref().unwrap_or_default();
+        let cells = [check.session, &check.what, outcome, expected, &check.seen, check.rule];
+        let cells = cells.map(|cell| format!("<td>{}</td>", escape(cell)));
+        rows += &format!("<tr class=\"{class}\">{}</tr>\n", cells.concat());
     }
     let lines = report.bench.iter().chain(&report.boards);
     let bench: String = lines.map(|line| format!("<li>{}</li>\n", escape(line))).collect();
+    let head = report
+        .head
+        .lines()
+        .map(|(name, value)| format!("<tr><th>{name}</th><td>{}</td></tr>\n", escape(value)));
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>cargo hil</title><style>{STYLE}</style>\n\
-         <h1>cargo hil</h1>\n<p>Adapter: {}</p>\n<ul>\n{bench}</ul>\n<pre>{}</pre>\n{}{}\
-         <h2>All checks</h2>\n<table><tr><th>session<th>check<th>outcome<th>seen</tr>\n{rows}</table>\n</html>\n",
-        escape(&report.adapter),
+         <h1>cargo hil</h1>\n<table>{}</table>\n<ul>\n{bench}</ul>\n<pre>{}</pre>\n{}{}\
+         <h2>All checks</h2>\n<table><tr><th>session<th>check<th>outcome<th>expected<th>seen<th>rule</tr>\n{rows}</table>\n</html>\n",
+        head.concat(),
         escape(text::summary(report).trim()),
         histograms(&report.answers),
         switches(&report.switches)

@@ -6,8 +6,7 @@ use super::{Left, Report};
 
 pub fn whole(report: &Report) -> String {
     let value = json!({
-        "version": env!("CARGO_PKG_VERSION"),
-        "adapter": report.adapter,
+        "head": report.head,
         "bench": report.bench,
         "boards": report.boards,
         "good": report.is_good(),

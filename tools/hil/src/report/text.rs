@@ -4,7 +4,16 @@ use super::{Check, Left, Outcome, Report};
 
 /// One line for a check.
 pub fn line(check: &Check) -> String {
-    format!("  {}  {}: {}", outcome(check), check.what, seen(check))
+    let expected = check.expected.as_ref().filter(|_| check.outcome == Outcome::Failed);
+    let expected = expected.map(|expected| format!(", expected {expected}")).unwrap_or_default();
+    format!("  {}  {}: {}{expected}", outcome(check), check.what, check.seen)
+}
+
+/// The same with what was expected in any case, and the rule.
+fn row(check: &Check) -> String {
+    let expected = check.expected.as_ref().filter(|_| check.outcome == Outcome::Passed);
+    let expected = expected.map(|expected| format!(", expected {expected}")).unwrap_or_default();
+    format!("{}{expected} [{}]", line(check), check.rule)
 }
 
 pub fn outcome(check: &Check) -> &'static str {
@@ -13,12 +22,6 @@ pub fn outcome(check: &Check) -> &'static str {
         Outcome::Failed => "FAILED",
         Outcome::NotTried => "not tried",
     }
-}
-
-/// What was seen, and what was expected instead.
-pub fn seen(check: &Check) -> String {
-    let expected = check.expected.as_ref().map(|expected| format!(", expected {expected}"));
-    check.seen.clone() + &expected.unwrap_or_default()
 }
 
 /// The result, what differs, and what was not tried.
@@ -56,15 +59,15 @@ pub fn summary(report: &Report) -> String {
 
 /// The whole report.
 pub fn whole(report: &Report) -> String {
-    let mut text =
-        format!("cargo hil {}\nadapter: {}\n", env!("CARGO_PKG_VERSION"), report.adapter);
+    let head = report.head.lines().map(|(name, value)| format!("{name}: {value}\n"));
+    let mut text = "cargo hil\n".to_owned() + &head.concat();
     for line in report.bench.iter().chain(&report.boards) {
         text += &format!("{line}\n");
     }
     for checks in report.checks.chunk_by(|a, b| a.session == b.session) {
         text += &format!("\n{}\n", checks[0].session);
         for check in checks {
-            text += &format!("{}\n", line(check));
+            text += &format!("{}\n", row(check));
         }
     }
     text + &summary(report)

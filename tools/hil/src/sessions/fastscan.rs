@@ -9,6 +9,8 @@ use crate::{
     stop::Stop,
 };
 
+const NON_CONFIGURED: &str = "CiA 305, identify non-configured remote slave";
+
 pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     for board in bench.boards.clone() {
         let configure = Configure::node_id(None);
@@ -22,7 +24,8 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
     let mut rest = bench.boards.clone();
     while !rest.is_empty() {
         let seen = board::answer_text(bench.bus.ask(Request::IdentifyNonConfigured)?);
-        bench.report.equal(format!("4C, {} without a node-ID", rest.len()), seen, "50 00");
+        let what = format!("identify non-configured, {} without a node-ID", rest.len());
+        bench.report.under(NON_CONFIGURED).equal(what, seen, "50 00");
         let found = match bench.bus.carry_out(Fastscan::new())? {
             Ok(Some(address)) => address,
             nobody => {
@@ -32,19 +35,21 @@ pub fn run(bench: &mut Bench) -> Result<(), Stop> {
                 return Ok(());
             }
         };
-        let Some(at) = rest.iter().position(|board| board.address == found) else {
-            bench.report.failed("Fastscan", format!("{found:08X?}"), "the address of a board");
-            return Ok(());
-        };
+        let at = rest.iter().position(|board| board.address == found);
+        let seen = at.map_or(format!("{found:08X?}"), |at| format!("finds {}", rest[at]));
+        bench.report.expect("Fastscan", at.is_some(), seen, "the address of a board");
+        let Some(at) = at else { return Ok(()) };
         let board = rest.remove(at);
-        bench.report.passed("Fastscan", format!("finds {board}"));
         let stored = bench.bus.carry_out(Configure::node_id(Some(board.id)))?;
         let seen = stored.map_or_else(|why| why.to_string(), |()| "stored".into());
-        bench.report.equal("11 and 17 after it", seen, "stored");
+        let what = "configure node-ID and store configuration behind it";
+        bench.report.under("CiA 305, store configuration").equal(what, seen, "stored");
         bench.bus.request(Request::SwitchToWaiting)?;
-        bench.check_boot_up("04 00 makes the node-ID active", board.id, BOOT)?;
+        bench.report.under("CiA 305, switch state global");
+        bench.check_boot_up("LSS waiting state makes the node-ID active", board.id, BOOT)?;
     }
     let seen = board::answer_text(bench.bus.probe(Request::IdentifyNonConfigured)?);
-    bench.report.equal("4C, all have a node-ID", seen, "no answer");
+    let what = "identify non-configured, all have a node-ID";
+    bench.report.under(NON_CONFIGURED).equal(what, seen, "no answer");
     Ok(())
 }

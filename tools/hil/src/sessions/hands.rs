@@ -52,11 +52,17 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
 fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
     let question = "May the bus be shorted? You would connect CANH and CANL with a wire for 2 s";
     if !agrees(bench, question) {
-        bench.report.not_tried("bus-off by a short circuit", "nobody has agreed to it");
+        bench
+            .report
+            .under("ISO 11898-1, bus-off")
+            .not_tried("bus-off by a short circuit", "nobody has agreed to it");
         return Ok(());
     }
     if bench.bus.status()?.is_none() {
-        bench.report.not_tried("bus-off by a short circuit", "the adapter reports no errors");
+        bench
+            .report
+            .under("ISO 11898-1, bus-off")
+            .not_tried("bus-off by a short circuit", "the adapter reports no errors");
         return Ok(());
     }
     // With a short heartbeat the boards are bus-off soon.
@@ -70,7 +76,10 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
         is_shorted = is_quiet || bench.bus.status()?.is_some_and(|status| status.has_errors);
     }
     if !is_shorted {
-        bench.report.not_tried("bus-off by a short circuit", "the bus was not shorted within 60 s");
+        bench
+            .report
+            .under("ISO 11898-1, bus-off")
+            .not_tried("bus-off by a short circuit", "the bus was not shorted within 60 s");
         return Ok(());
     }
     // The adapter may be bus-off itself: it joins the bus again until the boards are heard.
@@ -86,10 +95,14 @@ fn short_circuit(bench: &mut Bench) -> Result<(), Stop> {
         missing = bench.missing()?;
     }
     let words = ["all boards answer again", &missing.join("; ")];
-    bench.report.either("after a short circuit", missing.is_empty(), words);
+    bench.report.under("ISO 11898-1, bus-off").either(
+        "after a short circuit",
+        missing.is_empty(),
+        words,
+    );
     for board in bench.boards.clone() {
         if let Ok(count) = bench.number(board, 0x2000, 1)? {
-            bench.report.expect(
+            bench.report.under("ISO 11898-1, bus-off").expect(
                 format!("{board}: recoveries from bus-off, 2000h sub 1"),
                 count > 0,
                 count.to_string(),

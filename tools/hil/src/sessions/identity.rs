@@ -59,7 +59,11 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
         ];
         let is_selected = board::select(&mut bench.bus, address)?;
         let what = format!("{board}: switch state selective");
-        bench.report.either(what, is_selected, ["44", "no answer"]);
+        bench.report.under("CiA 305, switch state selective").either(
+            what,
+            is_selected,
+            ["44", "no answer"],
+        );
         for (at, (part, number, name)) in parts.into_iter().enumerate() {
             let answer = bench.bus.ask(Request::Inquire(part))?;
             let by_lss = answer.filter(|answer| answer[0] == 0x5A + at as u8);
@@ -90,7 +94,8 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             let text = sdo::read(&mut bench.bus, board.id.get(), index, 0)?;
             let seen = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
             let seen = seen.unwrap_or_else(|failure| failure);
-            bench.report.equal(format!("{board}: {name}"), seen, &expected);
+            let what = format!("{board}: {name}");
+            bench.report.under("CiA 301, 7.5.2.8 to 7.5.2.10").equal(what, seen, &expected);
         }
     }
     if let Some(rates) = &bench.product.rates {
@@ -98,7 +103,9 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             let rates: Vec<_> = rates.iter().map(|rate| rate.kbit_per_s().to_string()).collect();
             format!("{} kbit/s", rates.join(", "))
         };
-        bench.report.equal("bit rates that 13 accepts", list(&bench.offered), &list(rates));
+        let (seen, rates) = (list(&bench.offered), list(rates));
+        let report = bench.report.under("CiA 305, configure bit timing parameters");
+        report.equal("bit rates that LSS accepts", seen, &rates);
     }
     bench.bus.request(Request::SwitchToWaiting)
 }

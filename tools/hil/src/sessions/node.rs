@@ -81,7 +81,7 @@ fn heartbeat(bench: &mut Bench, id: u8) -> Result<(), Stop> {
         _ => 0.0,
     };
     // A crystal is off by 0.5 % at most; the stamps have a resolution of 1 ms, and the computer's clock is jittery.
-    bench.report.expect(
+    bench.report.under("CiA 301, 7.2.8.3.2.2").expect(
         format!("node {id}: heartbeat of {PERIOD_MS} ms"),
         (mean - f64::from(PERIOD_MS)).abs() < 3.0,
         format!(

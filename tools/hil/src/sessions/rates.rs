@@ -27,7 +27,7 @@ fn rates(bench: &mut Bench) -> Vec<BitRate> {
     let (mut rates, refused): (Vec<_>, Vec<_>) =
         wanted.iter().copied().partition(|rate| bench.offered.contains(rate));
     for rate in refused {
-        bench.report.not_tried(rate.to_string(), "the product does not offer it: 13 refuses it");
+        bench.report.not_tried(rate.to_string(), "the product does not offer it");
     }
     rates.retain(|rate| *rate != bench.base);
     rates.push(bench.base);
@@ -61,7 +61,11 @@ pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {
         let accepted =
             bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: rate.index() })?;
         if !matches!(accepted, Some([0x13, 0, ..])) {
-            bench.report.failed(format!("13, {rate}"), board::answer_text(accepted), "13 00");
+            bench.report.failed(
+                format!("configure bit timing, {rate}"),
+                board::answer_text(accepted),
+                "13 00",
+            );
             continue;
         }
         bench.bus.request(Request::ActivateBitTiming(DELAY_MS))?;
@@ -110,7 +114,7 @@ pub fn by_store(bench: &mut Bench) -> Result<(), Stop> {
             bench.bus.open(before)?;
             if bench.missing()?.is_empty() {
                 bench.report.failed(
-                    format!("{what}: the value of 17 is lost"),
+                    format!("{what}: the stored value is lost"),
                     format!("the boards are at {before} after the reset"),
                     format!("{rate}, which 17 00 said was stored"),
                 );

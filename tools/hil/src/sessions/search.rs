@@ -20,7 +20,7 @@ const INTERVAL: Duration = Duration::from_millis(100);
 
 pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
     if !bench.detects {
-        let why = "the product does not offer it: 13 refuses index 9 (BIT_RATES in src/device.rs)";
+        let why = "the product does not offer it (BIT_RATES in src/device.rs)";
         bench.report.not_tried("detection", why);
         return Ok(());
     }
@@ -132,7 +132,7 @@ fn rescue_of(bench: &mut Bench, board: Board, wrong: BitRate) -> Result<bool, St
         (false, false) => "neither received nor in the history 1003h",
     };
     let what = format!("{board}: emergency FF10h");
-    bench.report.expect(what, is_received || is_recorded, seen, "received");
+    bench.report.under("CiA 301, 7.2.7").expect(what, is_received || is_recorded, seen, "received");
     for (sub_index, expected, name) in [
         (5, wrong.kbit_per_s(), "home rate"),
         (6, base.kbit_per_s(), "rate in use"),

@@ -49,7 +49,7 @@ fn switch(bench: &mut Bench, to: BitRate, delay_ms: u16) -> Result<(), Stop> {
     bench.bus.request(Request::SwitchToConfiguration)?;
     let accepted = bench.bus.ask(Request::ConfigureBitTiming { table: 0, index: to.index() })?;
     if accepted.is_none() {
-        bench.report.failed(&what, "13 is not answered", "13 00");
+        bench.report.failed(&what, "configure bit timing is not answered", "13 00");
         return Ok(());
     }
     let heartbeats = bench.bus.collect(Duration::from_millis(200))?;

@@ -19,14 +19,15 @@ pub fn answers(bench: &mut Bench) -> Result<(), Stop> {
     let count = if bench.is_quick { 50 } else { 300 };
     for board in bench.boards.clone() {
         let _ = board::select(&mut bench.bus, board.address)?;
-        measure(bench, &format!("{board}: answers to 5E"), count)?;
+        measure(bench, &format!("{board}: inquire node-ID"), count)?;
         let begin = Instant::now();
         let stored = bench.bus.ask(Request::StoreConfiguration)?;
         let seen = format!("{:.1} ms", begin.elapsed().as_secs_f64() * 1e3);
         let limit = Duration::from_millis(20) + limit(bench, bench.base);
         let is_good = stored.is_some() && begin.elapsed() < limit;
         let expected = format!("less than {} ms", limit.as_millis());
-        bench.report.expect(format!("{board}: answer to 17"), is_good, seen, expected);
+        let what = format!("{board}: store configuration");
+        bench.report.under("CiA 305, store configuration").expect(what, is_good, seen, expected);
     }
     Ok(())
 }
@@ -108,7 +109,7 @@ pub fn bursts(bench: &mut Bench) -> Result<(), Stop> {
             None => format!("5A 5B 5C 5D 5E, {rounds} times"),
             Some(commands) => format!("a lost request: answers {}", board::text(commands)),
         };
-        let what = format!("{board}: 04, 5A to 5E without a pause");
+        let what = format!("{board}: switch state and five inquiries without a pause");
         bench.report.expect(what, worst.is_none(), seen, "5A 5B 5C 5D 5E");
     }
     Ok(())

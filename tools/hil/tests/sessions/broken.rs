@@ -42,7 +42,7 @@ fn a_lost_request_is_named() {
 
 #[test]
 fn a_board_that_does_not_store_is_named() {
-    run_with(Fault::NoStore, "store").assert_named("the value of 17 is lost");
+    run_with(Fault::NoStore, "store").assert_named("the stored value is lost");
 }
 
 #[test]

@@ -40,7 +40,9 @@ fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
     let boards = Emulated::start(&["--flash", &flash.to_string_lossy()]);
     let folder = new_folder("whole");
     let begin = Instant::now();
-    let output = run::command(&folder, &boards.adapter(), &[]).output().expect("it runs");
+    let output = run::command(&folder, &boards.adapter(), &["--chip", "stm32f407"])
+        .output()
+        .expect("it runs");
     let run = Run::new(&folder, output, begin.elapsed());
     run.assert_good();
     assert!(run.took < Duration::from_secs(300), "{:?}", run.took);
@@ -50,6 +52,25 @@ fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
     let page = file("report.html");
     assert_eq!(page.matches("<svg").count(), 2, "answer times and switches");
     assert!(file("report.txt").contains("The boards are as they were found."));
+    let head = &run.report["head"];
+    let text = |key: &str| head[key].as_str().expect(key).to_owned();
+    assert!(text("date").ends_with(" UTC") && text("version").contains(" (commit "));
+    assert!(text("product").ends_with("by this firmware (src/device.rs)"), "{head}");
+    assert_eq!(text("chip"), "stm32f407");
+    assert!(text("adapter").starts_with("slcan:tcp:"));
+    for value in ["date", "version", "product", "chip"].map(text) {
+        assert!(page.contains(&value) && file("report.txt").contains(&value), "{value}");
+    }
+    for check in run.report["checks"].as_array().expect("checks") {
+        let is_there = |key: &str| check[key].as_str().is_some_and(|text| !text.is_empty());
+        assert!(is_there("what") && is_there("seen") && is_there("rule"), "{check}");
+        assert_eq!(is_there("expected"), check["outcome"] != "not tried", "{check}");
+        let name = check["what"].as_str().expect("a name");
+        assert!(
+            !name.starts_with(|c: char| c.is_ascii_digit()) || name.contains("bit/s"),
+            "{name}"
+        );
+    }
     assert!(run.report["answers"].as_array().is_some_and(|answers| answers.len() > 400));
     assert!(run.report["switches"].as_array().is_some_and(|switches| switches.len() == 4));
 }
