@@ -106,12 +106,27 @@ fn power_on_the_pin_and_a_debugger_are_no_failures() {
     }
 }
 
-/// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12).
-fn jump(at: u32, to: u32) -> [u8; 4] {
+/// A jump to `to` in the place of the instruction at `at` (B.W, ARM DDI 0403, A7.7.12), or a call of it (BL, A7.7.18).
+fn branch(at: u32, to: u32, second: u32) -> [u8; 4] {
     let distance = to.wrapping_sub(at + 4);
     let first = 0xF000 | distance >> 31 << 10 | distance >> 12 & 0x3FF;
-    let second = 0xB800 | distance >> 1 & 0x7FF;
+    let second = second | distance >> 1 & 0x7FF;
     (first | second << 16).to_le_bytes()
+}
+
+const JUMP: u32 = 0xB800;
+const CALL: u32 = 0xF800;
+
+/// A value that logs as it is logged, or a recursion with a log line in it.
+#[test]
+fn a_fault_within_a_log_line_is_told_as_any_other() {
+    let mut rig = node_40(0);
+    let handler = code("CAN1_RX0");
+    let faults = [&branch(handler, code("_defmt_acquire"), CALL)[..], &UNDEFINED].concat();
+    let time = replace_until_reset(&mut rig, handler, &faults, ResetCause::Software);
+    assert!(time < Time::from_ms(300), "{time}");
+    assert_told(&mut rig, 1, FLASH_BASE + handler + 4);
+    assert!(rig.has_logged(&format!("reset by a hard fault at {:#x}", FLASH_BASE + handler + 4)));
 }
 
 #[test]
@@ -119,7 +134,7 @@ fn a_panic_ends_in_a_logged_hard_fault_and_a_reset_at_once() {
     let mut rig = node_40(0);
     let handler = code("CAN1_RX0");
     // Ending a log line that has not begun makes the logger panic.
-    let panics = jump(handler, code("_defmt_release"));
+    let panics = branch(handler, code("_defmt_release"), JUMP);
     let time = replace_until_reset(&mut rig, handler, &panics, ResetCause::Software);
     assert!(time < Time::from_ms(300), "{time}");
     let [boot_up, told, _] = &rig.collect(Time::from_ms(20)).0[..] else { panic!("no emergency") };
