@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use testkit::cargo::workspace;
+use testkit::{cargo::workspace, settings::record};
 
 use crate::rig::*;
 
@@ -121,6 +121,20 @@ fn a_damaged_flash_boots_the_default_settings_and_logs_why() {
         rig.power_cycle(0);
         assert_eq!(rig.collect(Time::from_ms(20)), ["704: 00"]);
     }
+}
+
+#[test]
+fn settings_in_the_layout_of_another_version_stay_and_the_log_says_so() {
+    // Without what precedes and follows each record, as in earlier versions.
+    let content: Vec<u8> = (0..1024).flat_map(|n| record(n, 1, 5, 2)).collect();
+    let mut rig = ImageRig::new(DEFAULT_BIT_RATE, [board_with_flash(&content)]);
+    let log = rig.log(0);
+    let why = "the flash holds settings of another version: load that version, or erase them";
+    assert!(log.iter().any(|line| line.level == "error" && line.text == why), "{log:#?}");
+    assert_eq!(rig.lss("04 01, 11 04, 17"), ["11 00", "17 02"]);
+    assert_eq!(rig.lss("04 00"), ["704: 00", "084: 10 63 01 00 00 00 00 00"]);
+    let flash = rig.network.board(0).flash();
+    assert!(flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH] == content);
 }
 
 #[test]

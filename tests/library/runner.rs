@@ -482,16 +482,22 @@ fn filters_get_the_cob_ids_in_full_lists() {
 
 #[test]
 fn a_loss_of_the_settings_is_reported() {
-    // A record of an unknown kind.
-    let flash = testkit::settings::flash_with(&[(0, 0, testkit::settings::record(1, 2, 5, 2))]);
-    let (mut log, found) = Storage::open_with_parameters(flash);
-    let mut board = Board::with_node_id();
-    let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);
-    assert_eq!(runner::restore(&mut node, &mut log, found), Found::Damaged);
-    board.runner = Runner::new(node, Handle(board.chip.clone()), Handle(board.chip.clone()));
-    board.pass_ms(1);
-    let sent = board.take_sent().texts();
-    assert!(sent.iter().any(|text| text.starts_with("085: ")), "{sent:?}");
+    // A record of an unknown kind, and one of another layout.
+    let of_kind = |kind| testkit::settings::record(1, kind, 5, 2);
+    let mut of_layout = of_kind(1);
+    of_layout[23] = 1;
+    let of_layout = testkit::settings::sealed(of_layout);
+    for (record, expected) in [(of_kind(2), Found::Damaged), (of_layout, Found::OtherLayout)] {
+        let flash = testkit::settings::flash_with(&[(0, 0, record)]);
+        let (mut log, found) = Storage::open_with_parameters(flash);
+        let mut board = Board::with_node_id();
+        let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);
+        assert_eq!(runner::restore(&mut node, &mut log, found), expected);
+        board.runner = Runner::new(node, Handle(board.chip.clone()), Handle(board.chip.clone()));
+        board.pass_ms(1);
+        let sent = board.take_sent().texts();
+        assert!(sent.iter().any(|text| text.starts_with("085: 10 63")), "{sent:?}");
+    }
 }
 
 #[test]

@@ -475,6 +475,10 @@ fn each_failure_says_what_the_flash_does_and_what_to_do() {
             Error::Full,
             "the flash is full: reset the node (NMT command 81h) or switch it off and on",
         ),
+        (
+            Error::OtherLayout,
+            "the flash holds settings of another version: load that version, or erase them",
+        ),
     ] {
         assert_eq!(error.to_string(), what);
     }

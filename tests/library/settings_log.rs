@@ -334,7 +334,6 @@ fn a_record_of_a_later_versions_kind_is_skipped_and_left_unchanged() {
 fn unused_bytes_of_a_record_may_have_any_value() {
     let mut later = record(9, 1, 5, 2);
     later[7..10].copy_from_slice(&[0x00, 0xE8, 0x03]);
-    later[23] = 0x5A;
     let flash = flash_with::<4, 1024>(&[(0, 0, record(8, 1, 4, 3)), (0, 1, sealed(later))]);
     let (settings, found) = open(&flash);
     assert_eq!((settings.unwrap().node_id, found), (NodeId::new(5), Found::Complete));
@@ -350,8 +349,12 @@ fn other_data_is_erased_and_no_damage() {
         [vec![0xFF; 0x4000 + 409 * PLACE - 1], vec![0xFE; 0x4000 - 409 * PLACE + 1]].concat(),
     );
     contents.push((0..0x8000).map(|_| random.byte()).collect());
-    // Records without what precedes and follows them, as in an earlier version.
-    contents.push((0..1024).flat_map(|n| record(n, 1, 5, 2)).collect());
+    // Records of another layout without a byte of their commit word or CRC.
+    for byte in [24, 28] {
+        let mut broken = record(9, 1, 5, 2);
+        broken[byte] ^= 1;
+        contents.push(broken.repeat(1024));
+    }
     for content in contents {
         let flash = BoardFlash::with_content(content, 0);
         let (mut log, found) = Log::open(flash.clone());
@@ -359,6 +362,70 @@ fn other_data_is_erased_and_no_damage() {
         assert_eq!(log.store(settings(1)), Ok(()));
         assert_eq!(open(&flash), (Some(settings(1)), Found::Complete));
     }
+}
+
+/// A record in a layout with another number.
+fn of_other_layout(sequence: u32) -> [u8; 32] {
+    let mut record = record(sequence, 1, 5, 2);
+    record[23] = 0xFE;
+    sealed(record)
+}
+
+#[test]
+fn records_of_another_layout_stay_and_nothing_is_stored_beside_them() {
+    const E: usize = 1024;
+    // Without what precedes and follows a record, as in earlier versions: many, and one.
+    let bare = |at: usize, count: usize| {
+        let mut content = vec![0xFF; 2 * E];
+        let records = (0..count).flat_map(|n| record(n as u32, 1, 5, 2));
+        content.splice(at..at + 32 * count, records);
+        Flash::<4, E>::with_content(content, 0)
+    };
+    let ours = |sequence| record(sequence, 1, 4, 3);
+    let other = of_other_layout;
+    let erased = with_other_bank(ours(8), 2);
+    for (flash, node_id) in [
+        (bare(0, 64), None),
+        (bare(0, 1), None),
+        (bare(E, 1), None),
+        (bare(2 * E - 32, 1), None),
+        (flash_with(&[(0, 0, other(9))]), None),
+        (flash_with(&[(1, 3, other(9))]), None),
+        // Behind the record that counts, and in the bank that would be erased, also before records of this layout.
+        (flash_with(&[(0, 0, erased), (0, 1, other(9))]), Some(4)),
+        (flash_with(&[(0, 0, ours(8)), (1, 0, other(9))]), Some(4)),
+        (flash_with(&[(0, 0, ours(8)), (1, 0, other(5)), (1, 1, ours(6))]), Some(4)),
+    ] {
+        let content = flash.content();
+        for _ in 0..3 {
+            let (mut log, found) = Log::open(flash.clone());
+            let found_id = log.settings().and_then(|settings| settings.node_id);
+            assert_eq!((found_id, found), (node_id.and_then(NodeId::new), Found::OtherLayout));
+            assert_eq!(log.store(settings(1)), Err(Error::OtherLayout));
+            assert!(flash.content() == content && flash.erases() == 0, "it stays");
+        }
+    }
+}
+
+#[test]
+fn parameters_that_read_as_a_record_of_another_layout_are_none() {
+    let flash = Flash::<4, 1024>::blank(0);
+    let (mut log, ..) = open_with_parameters::<40, 4, 1024>(&flash);
+    // The place of the first part: its first unit, its sequence, and the parameters from their header on.
+    let mut look = [0; 32];
+    look[4..8].copy_from_slice(&(25_u32 + 3).to_le_bytes());
+    look[8..24].copy_from_slice(&packed(1, 18)[..16]);
+    let mut parameters = packed(1, 18);
+    parameters[16..].copy_from_slice(&sealed(look)[24..]);
+    log.store_with_parameters(settings(0), &parameters).unwrap();
+    assert_eq!(flash.content()[3 * PLACE..][..32], sealed(look));
+    for n in 1..60 {
+        log.store(settings(n)).unwrap();
+        let (next, found, how) = open_with_parameters::<40, 4, 1024>(&flash);
+        assert_eq!((found, how), ((Some(settings(n)), parameters.clone()), Found::Complete));
+        log = next;
+    }
+    assert!(flash.erases() > 3, "it has moved");
 }
 
 #[test]

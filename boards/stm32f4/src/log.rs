@@ -1,6 +1,9 @@
 //! The line of the log that says which settings the board starts with.
 
-use canopen_node::{BitRateSetting, NodeId, Settings, settings::Found};
+use canopen_node::{
+    BitRateSetting, NodeId, Settings,
+    settings::{Error, Found},
+};
 
 /// Logs what the start has found in the flash, and the settings in use.
 pub fn found(found: Found, settings: &Settings) {
@@ -17,6 +20,9 @@ pub fn found(found: Found, settings: &Settings) {
         }
         Found::Damaged => {
             defmt::error!("the settings in the flash are damaged; using the defaults")
+        }
+        Found::OtherLayout => {
+            defmt::error!("{}", Error::OtherLayout);
         }
         Found::ParametersDamaged => {
             defmt::error!("the parameters in flash are damaged; using their defaults");

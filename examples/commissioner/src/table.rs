@@ -36,8 +36,10 @@ impl Table {
             places.zip(parameter.value.as_chunks().0).for_each(|(to, from)| *to = *from);
             parameter.index == INDEX
         });
-        let is_lost =
-            matches!(found, Found::Damaged | Found::ParametersDamaged | Found::MediumFailed(_));
+        let is_lost = matches!(
+            found,
+            Found::Damaged | Found::ParametersDamaged | Found::OtherLayout | Found::MediumFailed(_)
+        );
         let mut table = Self { log, rows, is_valid: restored.is_ok() && !is_lost };
         let is_once = |(_, board)| table.boards().filter(|(_, other)| *other == board).count() == 1;
         table.is_valid &= table.boards().all(is_once);

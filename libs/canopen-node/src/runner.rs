@@ -44,7 +44,7 @@ pub fn restore<F: NorFlash, A: Application, const STORED_LEN: usize>(
     found: Found,
 ) -> Found {
     let restored = log.restore(|parameter| node.restore(parameter));
-    if matches!(found, Found::Damaged | Found::ParametersDamaged) {
+    if matches!(found, Found::Damaged | Found::ParametersDamaged | Found::OtherLayout) {
         node.handle_fault(Fault::SettingsLost);
     }
     restored.map_or_else(Found::MediumFailed, |()| found)

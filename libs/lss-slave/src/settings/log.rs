@@ -26,6 +26,7 @@
 //!   certain record counts, and in it the last valid record.
 //! - A record says how the [other bank](OtherBank) is. It says "erased" only if an erase was completed, and this holds
 //!   until a later record in the same bank says otherwise.
+//! - A flash with a record of another [layout](record) is only read. Before an erase, a start looks for one everywhere.
 //! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the
 //!   bus cannot afford.
 //! - Before an erase, the newest record is appended twice by the same start. The first copy, which says "used", must be
@@ -70,6 +71,9 @@ pub enum Found {
     OtherData,
     /// No record was valid, though there were some; the flash is now formatted and the device's defaults apply.
     Damaged,
+    /// There are records of another layout, which another version of the program has written: they stay, and nothing is
+    /// stored. The newest record of this layout applies, else the device's defaults.
+    OtherLayout,
     /// The newest record is valid, but the parameters to which it refers are damaged; their defaults apply.
     ParametersDamaged,
     /// The flash could not be read, erased or written. The settings that were found apply, but storing may fail, and a
@@ -143,6 +147,8 @@ pub struct Log<F, const STORED_LEN: usize = 0> {
     uncertain: Option<u32>,
     /// The bank with the newest record counts at every open: one in it is certain, and later than all in the other.
     counts: bool,
+    /// The flash holds records of another layout, and nothing is written.
+    is_foreign: bool,
     /// The blank space in the bank with the newest record.
     space: Space,
     /// The blank space in the other bank; empty if its erase is not known to be complete.
@@ -161,6 +167,8 @@ pub enum Error {
     NotAsWritten,
     /// Both banks are full until the next [`Log::open`].
     Full,
+    /// There are records of another layout, see [`Found::OtherLayout`].
+    OtherLayout,
 }
 
 impl fmt::Display for Error {
@@ -171,6 +179,9 @@ impl fmt::Display for Error {
             Self::NotAsWritten => "the flash reads back otherwise than written",
             Self::Full => {
                 "the flash is full: reset the node (NMT command 81h) or switch it off and on"
+            }
+            Self::OtherLayout => {
+                "the flash holds settings of another version: load that version, or erase them"
             }
         })
     }
@@ -188,6 +199,10 @@ impl defmt::Format for Error {
             Self::Full => defmt::write!(
                 f,
                 "the flash is full: reset the node (NMT command 81h) or switch it off and on"
+            ),
+            Self::OtherLayout => defmt::write!(
+                f,
+                "the flash holds settings of another version: load that version, or erase them"
             ),
         }
     }
@@ -229,6 +244,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             has_taken_all: false,
             uncertain: None,
             counts: false,
+            is_foreign: false,
             space: Space::NONE,
             other: Space::NONE,
         }
@@ -327,6 +343,9 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
 
     /// Makes `settings` persistent, or else leaves the old ones so.
     fn put_or_restore(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
+        if self.is_foreign {
+            return Err(Error::OtherLayout);
+        }
         let before = self.uncertain;
         let outcome = self.put(Some(settings), new);
         let Some(uncertain) = self.uncertain.filter(|it| before != Some(*it)) else {

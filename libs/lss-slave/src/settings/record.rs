@@ -16,12 +16,13 @@
 //! | 18..19 | the number of parts from that place on; `FFFF` all parts of the parameters, in order |
 //! | 20..21 | the place of an earlier record, to whose parameters the other parts belong; `FFFF` none |
 //! | 22 | state of the [other bank](OtherBank) |
-//! | 23 | unused, `FF` |
+//! | 23 | number of the layout: `FF` this one |
 //! | 24..27 | CRC-32 (IEEE 802.3) of bytes 0..23; `0000 0000` stands for one that would read blank |
 //! | 28..31 | commit word, `4C 53 53 31` ("LSS1") |
 //!
 //! Without parameters bytes 10..21 are `FF`. The CRC covers the unused bytes, so a later version can use them with kind
-//! `01`: `FF` there means that an older version wrote the record.
+//! `01`: `FF` there means that an older version wrote the record. A version that reads or writes anything else otherwise
+//! takes another number of the layout, and keeps byte 23, the CRC and the commit word where they are.
 //!
 //! # A part of the parameters
 //!
@@ -38,6 +39,8 @@
 use super::Settings;
 use crate::{BitRateSetting, NodeId, bytes::copy};
 
+/// The number of this layout.
+const LAYOUT: u8 = 0xFF;
 /// The size of a record in bytes.
 pub const LEN: usize = 32;
 /// The place of the CRC.
@@ -76,7 +79,7 @@ impl Record {
         #[rustfmt::skip]
         let content = [
             s0, s1, s2, s3, kind, node_id, index, X, X, X, p0, p1,
-            p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, self.other_is as u8, X,
+            p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, self.other_is as u8, LAYOUT,
         ];
         let [r0, r1, r2, r3] = crc_of(&content);
         let [c0, c1, c2, c3] = COMMIT;
@@ -89,13 +92,9 @@ impl Record {
 
     /// The record in `bytes`, if it is undamaged and holds possible settings.
     pub fn from_bytes(bytes: &[u8; LEN]) -> Option<Self> {
-        let (content, rest) = bytes.split_first_chunk::<CRC_AT>()?;
-        let (crc, commit) = rest.split_first_chunk()?;
-        if *commit != COMMIT || *crc != crc_of(content) {
-            return None;
-        }
-        let [s0, s1, s2, s3, kind, node_id, index, .., other, _] = *content;
+        let [s0, s1, s2, s3, kind, node_id, index, .., other, layout] = *sealed(bytes)?;
         let settings = match kind {
+            _ if layout != LAYOUT => return None,
             KIND_DEFAULTS => None,
             KIND_SETTINGS => Some(Settings {
                 node_id: NodeId::from_lss(node_id).ok()?,
@@ -111,6 +110,18 @@ impl Record {
         };
         Some(Self { sequence, settings, parameters: Reference::of_record(bytes), other_is })
     }
+}
+
+/// The content of a record of any layout, if it is undamaged.
+fn sealed(bytes: &[u8; LEN]) -> Option<&[u8; CRC_AT]> {
+    let (content, rest) = bytes.split_first_chunk()?;
+    let (crc, commit) = rest.split_first_chunk()?;
+    (*commit == COMMIT && *crc == crc_of(content)).then_some(content)
+}
+
+/// Whether these bytes are a record of another layout. Those before this one have the same number, at other addresses.
+pub fn is_of_other_layout(bytes: &[u8; LEN], is_place: bool) -> bool {
+    sealed(bytes).is_some_and(|[.., layout]| !is_place || *layout != LAYOUT)
 }
 
 /// What a record says of the other bank.

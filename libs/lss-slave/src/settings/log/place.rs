@@ -91,8 +91,13 @@ fn read<F: NorFlash>(flash: &mut F, at: u32, to: &mut [u8]) -> Result<(), Error>
 
 /// The 32 bytes of a place.
 pub fn content<F: Layout>(flash: &mut F, at: u32) -> Result<[u8; LEN], Error> {
+    bytes(flash, at.saturating_add(F::FRAME as u32))
+}
+
+/// The 32 bytes at a unit.
+pub fn bytes<F: Layout>(flash: &mut F, at: u32) -> Result<[u8; LEN], Error> {
     let mut bytes = [0; LEN];
-    read(flash, at.saturating_add(F::FRAME as u32), &mut bytes)?;
+    read(flash, at, &mut bytes)?;
     Ok(bytes)
 }
 

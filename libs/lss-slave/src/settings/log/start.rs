@@ -9,6 +9,7 @@
 //! | a valid record, followed by something else | takes it, never writes into the rest, appends it again |
 //! | a valid record whose parameters are damaged | takes it, appends it again without parameters |
 //! | after any of these, a record without "erased", or anything in the other bank | appends it as "used", then as "doomed", erases the other bank, appends it as "erased" |
+//! | a record of another layout | takes the newest of this one, if there is one, and writes nothing |
 //! | no valid record | erases both banks, writes a record without settings as "used", "doomed" and "erased" |
 //! | a flash that cannot be read, erased or written | continues with the settings found, or the defaults |
 
@@ -18,7 +19,7 @@ use super::{
     Error, Found, Log, Newest,
     place::{self, Layout, RESERVE, Space},
 };
-use crate::settings::record::{self, OtherBank, Record};
+use crate::settings::record::{self, LEN, OtherBank, Record};
 
 /// The result of the search in one bank.
 pub struct Bank {
@@ -29,6 +30,8 @@ pub struct Bank {
     certain: Option<u32>,
     /// There is a record of ours, though it may be damaged.
     is_ours: bool,
+    /// There is a record of another layout, as far as the search has come.
+    is_foreign: bool,
     /// The address from which the bank reads blank.
     blank_from: u32,
 }
@@ -85,6 +88,9 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let is_certain = bank.certain == bank.sequence() && is_intact && !is_interrupted;
         let has_room = self.space.len::<F>() > RESERVE;
         let is_erased = newest.record.other_is == OtherBank::Erased && other.is_blank();
+        if self.is_foreign([&bank, &other], !is_erased) {
+            return Ok(Found::OtherLayout);
+        }
         if is_erased && (is_certain || has_room) {
             self.other = other.space(self.sequence_after(&bank));
             if is_certain {
@@ -123,6 +129,9 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if !places.into_iter().flatten().any(|at| place::is_blank(&mut self.flash, at).is_ok()) {
             return Err(Error::Refused);
         }
+        if self.is_foreign([bank, other], true) {
+            return Ok(Found::OtherLayout);
+        }
         self.erase(other)?;
         self.move_on(bank)?;
         Ok(match (bank.is_blank() && other.is_blank(), bank.is_ours || other.is_ours) {
@@ -130,6 +139,26 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
             (false, true) => Found::Damaged,
             (false, false) => Found::OtherData,
         })
+    }
+
+    /// Whether a bank holds a record of another layout; before an erase it is looked for everywhere.
+    fn is_foreign(&mut self, banks: [&Bank; 2], is_erase: bool) -> bool {
+        let len = self.bank_len().saturating_sub(LEN as u32 - 1);
+        self.is_foreign = banks.into_iter().any(|bank| {
+            let start = bank.range.start;
+            let end = start.saturating_add(len).min(bank.blank_from);
+            // Beside records of this layout are their parameters, which may hold anything.
+            let (first, step) =
+                if bank.is_ours { (F::FRAME, F::PLACE) } else { (0, F::FRAME as u32) };
+            let mut all = (start.saturating_add(first as u32)..end).step_by(step as usize);
+            let is_foreign = |at: u32| {
+                let is_place = at.saturating_sub(start) % F::PLACE == F::FRAME as u32;
+                let bytes = place::bytes(&mut self.flash, at);
+                bytes.is_ok_and(|bytes| record::is_of_other_layout(&bytes, is_place))
+            };
+            bank.is_foreign || is_erase && all.any(is_foreign)
+        });
+        self.is_foreign
     }
 
     /// The bank that counts, and the other one.
@@ -150,8 +179,14 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
 
     fn search_bank(&mut self, range: Range<u32>) -> Bank {
         let start = range.start;
-        let mut bank =
-            Bank { range, newest: None, certain: None, is_ours: false, blank_from: start };
+        let mut bank = Bank {
+            range,
+            newest: None,
+            certain: None,
+            is_ours: false,
+            is_foreign: false,
+            blank_from: start,
+        };
         for at in bank.range.clone().step_by(F::PLACE as usize).rev() {
             if place::is_blank(&mut self.flash, at) == Ok(true) {
                 continue;
@@ -163,6 +198,7 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
                 continue;
             };
             bank.is_ours |= bytes.ends_with(&record::COMMIT);
+            bank.is_foreign |= record::is_of_other_layout(&bytes, true);
             let Some(record) = Record::from_bytes(&bytes) else {
                 continue;
             };
