@@ -1,6 +1,11 @@
 //! Events of the node for its application, and errors of the application as emergency messages (CiA 301, 7.2.7).
 
-use canopen_node::{BitRate, BusEvent, application::Event, nmt::State};
+use canopen_node::{
+    BitRate, BusEvent,
+    application::Event,
+    emergency::{Fault, OwnCode, Restart, RestartCause},
+    nmt::State,
+};
 use testkit::{
     flash::BoardFlash,
     frames::{Frames, SILENCE},
@@ -131,18 +136,6 @@ fn eight_errors_of_the_application_leave_room_for_each_of_the_node() {
 }
 
 #[test]
-fn an_error_of_the_application_with_a_code_of_the_node_is_another_one() {
-    let mut board = board();
-    set(&mut board, 0x1016, 1, 0x0005_0064, 4);
-    assert_eq!(report(&mut board, 0x8130, 0, [9; 5]), ["0C0: 30 81 01 09 09 09 09 09"]);
-    receive(&mut board, "705: 05");
-    assert_eq!(board.pass_ms(100), ["0C0: 30 81 11 05 00 00 00 00"]);
-    assert_eq!(receive(&mut board, "705: 05"), SILENCE);
-    assert_eq!(board.number(0x1001, 0), 0x01, "that of the application stays");
-    assert_eq!(end(&mut board, 0x8130), [NO_ERROR]);
-}
-
-#[test]
 fn an_error_that_ends_before_its_message_leaves_is_reported_and_ended() {
     let mut board = board();
     board.node.report(0x4310, 0, [0; 5]);
@@ -195,9 +188,34 @@ fn bit_0_of_the_error_register_is_set_with_each_error_of_the_application() {
 }
 
 #[test]
-fn the_error_code_0_is_no_error() {
+fn the_application_cannot_report_an_error_of_the_node_or_none() {
     let mut board = board();
-    assert!(!board.node.report(0, 0x08, [0; 5]));
-    assert_eq!(board.pass_us(0), SILENCE);
+    for code in OwnCode::ALL.map(|own| own.code).into_iter().chain([0]) {
+        assert!(!board.node.report(code, 0x08, [0; 5]), "{code:04X}h");
+        assert_eq!(board.pass_us(0), SILENCE);
+    }
     assert_eq!(board.number(0x1001, 0), 0);
+    assert!(board.node.report(0xFF01, 0x08, [0; 5]));
+}
+
+#[test]
+fn each_message_of_the_node_is_that_of_its_row() {
+    let restarted = |cause| Fault::Restarted(Restart { cause, address: 0 });
+    let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit125, home: BitRate::Kbit500 };
+    for (code, fault) in [
+        (0x5000, restarted(RestartCause::NoCrystal)),
+        (0x6100, restarted(RestartCause::Panic)),
+        (0x6310, Fault::SettingsLost),
+        (0x8110, Fault::Overrun),
+        (0x8120, Fault::ErrorPassive),
+        (0x8140, Fault::BusOffRecovered),
+        (0xFF10, away),
+    ] {
+        let mut board = board();
+        board.node.handle_fault(fault);
+        let sent = board.pass_us(0);
+        let [low, high, register, ..] = sent.0[0].data() else { panic!("{sent:?}") };
+        let row = OwnCode::ALL.into_iter().find(|own| own.code == code).expect("a row");
+        assert_eq!((u16::from_le_bytes([*low, *high]), *register), (code, row.register));
+    }
 }

@@ -102,7 +102,7 @@ const OBJECTS: [(&str, &str); 23] = [
 ];
 
 /// What is wrong beside the objects, and the message.
-const COMMUNICATION: [(&str, &str); 18] = [
+const COMMUNICATION: [(&str, &str); 20] = [
     (
         "TPDOS: &'static [Tpdo] = &[Tpdo::UNUSED, Tpdo::new(&[(0x6000, 4)])];",
         "TPDO 2: 6000h sub-index 4 does not exist",
@@ -165,6 +165,14 @@ const COMMUNICATION: [(&str, &str); 18] = [
     (
         "PRODUCERS: usize = 1; const WATCHED: &'static [(u8, u16)] = &[(1, 0)];",
         "WATCHED: node 1 needs a time of 1 to 65535 ms",
+    ),
+    (
+        "PRODUCERS: usize = { canopen_node::error_code!(0xFF10); 0 };",
+        "error code FF10h is the node's own: the node takes part at another bit rate",
+    ),
+    (
+        "PRODUCERS: usize = { canopen_node::error_code!(0); 0 };",
+        "error code 0000h is the node's own: no error is left",
     ),
 ];
 

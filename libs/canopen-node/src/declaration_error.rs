@@ -48,6 +48,12 @@ impl DeclarationError {
         self.digits(number, 10, 1)
     }
 
+    /// Adds a code of four hexadecimal digits.
+    #[must_use]
+    pub const fn hexadecimal(self, code: u16) -> Self {
+        self.digits(code as usize, 16, 4)
+    }
+
     const fn digits(self, number: usize, base: usize, at_least: usize) -> Self {
         let before = if number < base && at_least <= 1 {
             self

@@ -2,6 +2,7 @@
 //! the error history 1003h.
 
 mod configuration;
+pub(crate) mod own;
 
 use core::{mem, ops::Range};
 
@@ -9,6 +10,7 @@ use crate::{BitRate, Frame, Instant, NodeId};
 pub(crate) use configuration::Configuration;
 
 pub use lss_slave::cob_id::EMERGENCY as COB_ID;
+pub use own::{OwnCode, of_application};
 
 /// The number of errors that the history 1003h keeps.
 pub(crate) const HISTORY_LEN: u8 = 8;
@@ -179,22 +181,22 @@ impl Fault {
 
     fn message(self) -> Message {
         let mut information = [0; 5];
-        let (code, register) = match self {
-            Self::SettingsLost => (0x6310, GENERIC),
-            Self::ErrorPassive => (0x8120, GENERIC | COMMUNICATION),
-            Self::BusOffRecovered => (0x8140, GENERIC | COMMUNICATION),
-            Self::Overrun => (0x8110, GENERIC | COMMUNICATION),
+        let OwnCode { code, register, .. } = match self {
+            Self::SettingsLost => own::SETTINGS_LOST,
+            Self::ErrorPassive => own::ERROR_PASSIVE,
+            Self::BusOffRecovered => own::BUS_OFF_RECOVERED,
+            Self::Overrun => own::OVERRUN,
             Self::Restarted(Restart { cause, address }) => {
                 let [a0, a1, a2, a3] = address.to_le_bytes();
                 information = [cause as u8, a0, a1, a2, a3];
                 let is_clock = cause as u8 >= RestartCause::CrystalStopped as u8;
-                (if is_clock { 0x5000 } else { 0x6100 }, GENERIC)
+                if is_clock { own::CLOCK } else { own::RESTARTED }
             }
             Self::AwayFromHomeRate { in_use, home } => {
                 let [u0, u1] = in_use.kbit_per_s().to_le_bytes();
                 let [h0, h1] = home.kbit_per_s().to_le_bytes();
                 information = [u0, u1, h0, h1, 0];
-                (0xFF10, GENERIC | COMMUNICATION)
+                own::AWAY_FROM_HOME_RATE
             }
         };
         Message { code, register, information }

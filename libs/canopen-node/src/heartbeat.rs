@@ -6,7 +6,7 @@ use crate::{
     Application, Frame, Instant, NodeId,
     application::event::Event,
     declaration_error::DeclarationError,
-    emergency::{COMMUNICATION, Emergency, PROCESS_DATA},
+    emergency::{COMMUNICATION, Emergency, PROCESS_DATA, own},
     nmt,
     numbers::{Element, List, Numbers},
     object_dictionary::{
@@ -22,8 +22,8 @@ pub const MAX_PRODUCERS: usize = 16;
 /// Consumer heartbeat time.
 pub(crate) const INDEX: u16 = 0x1016;
 
-/// Error code of a heartbeat that is missing (CiA 301, table 26).
-const LOST: u16 = 0x8130;
+/// The error code of a heartbeat that is missing.
+const LOST: u16 = own::HEARTBEAT_LOST.code;
 
 /// The heartbeat consumer of a node.
 #[derive(Clone, Debug)]

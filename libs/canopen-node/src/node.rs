@@ -22,7 +22,7 @@ use lss_slave::Slave;
 use crate::{
     BitRate, BitRateSetting, BusEvent, Device, Frame, Instant, NodeId, Settings,
     application::{Application, NoApplication},
-    emergency::{APPLICATION, Emergency, Fault},
+    emergency::{APPLICATION, Emergency, Fault, own},
     lss::{self, Response, StateMachine, StoreError},
     nmt::{self, Command, slave::NmtSlave},
     numbers::{List, Numbers},
@@ -350,10 +350,11 @@ impl<A: Application> Node<A> {
     /// [`end_report`](Self::end_report); the message enters the history 1003h when it has left. An error that is reported
     /// again is sent again.
     ///
-    /// Returns whether there was room: up to eight errors of the application may be present at a time. A further one, and
-    /// the error code 0, have no effect.
+    /// Returns whether it was taken: up to eight errors of the application may be present at a time. A further one, the
+    /// error code 0, and [those of the node](crate::emergency::OwnCode) have no effect;
+    /// [`error_code!`](crate::error_code) finds them at compile time.
     pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
-        if code == 0 {
+        if own::is_own(code) {
             return false;
         }
         self.agenda.add(Tasks::of(&[Task::Messages]));

@@ -28,8 +28,8 @@ pub(crate) const ROWS: &[Entry] = &[
 pub(crate) const COUNTER_OVERFLOW_ROW: &[Entry] =
     &[row(COUNTER_OVERFLOW, 0, Unsigned8, ReadWrite, Object::SyncCounterOverflow)];
 
-/// Error code of a SYNC whose length does not fit 1019h (CiA 301, table 26).
-pub(crate) const WRONG_LENGTH: u16 = 0x8240;
+/// The error code of a SYNC whose length does not fit 1019h.
+pub(crate) const WRONG_LENGTH: u16 = crate::emergency::own::SYNC_LENGTH.code;
 
 /// The parameters of the SYNC consumer.
 #[derive(Clone, Copy, Debug)]

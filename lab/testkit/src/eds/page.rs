@@ -1,5 +1,7 @@
 //! The page of the objects for people, in Markdown.
 
+use canopen_node::emergency::OwnCode;
+
 use super::{DataSheet, Value, access, is_record, line};
 
 impl DataSheet<'_> {
@@ -27,8 +29,29 @@ The objects of {}, in one line for each value. `cargo xtask eds` makes this page
                 line(&mut page, row(value));
             }
         }
-        page
+        page + "\n" + &emergencies()
     }
+}
+
+/// The table of the node's own emergency messages.
+fn emergencies() -> String {
+    let mut table = "\
+## Emergency messages
+
+The node sends these itself; `report` refuses their codes. Error code 0000h follows when no error is left. Each bit of
+the register stays in 1001h until its error ends.
+
+| code | cause | register | bytes 3 to 7 | ends when |
+|---|---|---|---|---|
+"
+    .to_owned();
+    for OwnCode { code, register, cause, information, end } in OwnCode::ALL {
+        let information = if information.is_empty() { "0" } else { information };
+        let cells =
+            format_args!("| {code:04X}h | {cause} | {register:02X}h | {information} | {end} |");
+        line(&mut table, cells);
+    }
+    table
 }
 
 fn row(value: &Value) -> String {

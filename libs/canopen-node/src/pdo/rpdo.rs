@@ -1,14 +1,11 @@
 //! The reception of an RPDO: the effect of its frames.
 
 use super::Pdo;
-use crate::{Application, Frame, Instant};
+use crate::{Application, Frame, Instant, emergency::own};
 
-/// Error code of a PDO that is shorter than its mapping, and ignored (CiA 301, table 26).
-pub(super) const TOO_SHORT: u16 = 0x8210;
-/// Error code of a PDO that is longer than its mapping; its first bytes are used (CiA 301, table 26).
-pub(super) const TOO_LONG: u16 = 0x8220;
-/// Error code of a PDO that does not come within its event timer (CiA 301, table 26).
-pub(super) const LATE: u16 = 0x8250;
+pub(super) const TOO_SHORT: u16 = own::PDO_TOO_SHORT.code;
+pub(super) const TOO_LONG: u16 = own::PDO_TOO_LONG.code;
+pub(super) const LATE: u16 = own::PDO_LATE.code;
 
 /// The state of an RPDO in NMT operational.
 #[derive(Clone, Copy, Debug)]
