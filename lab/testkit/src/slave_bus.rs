@@ -5,6 +5,8 @@
 mod adapter;
 mod defect;
 mod slave;
+#[cfg(feature = "adapter")]
+mod slcan;
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -24,6 +26,8 @@ use crate::{node_rig::NodeRig, random::Random};
 pub use adapter::BusAdapter;
 pub use defect::Defect;
 pub use slave::{Habits, Happening, Slave};
+#[cfg(feature = "adapter")]
+pub use slcan::Firmware;
 
 /// No time that comes.
 const NEVER: u64 = u64::MAX;
@@ -134,6 +138,11 @@ impl<A: Application + Clone> SlaveBus<A> {
         self.waiting.retain(|_, (source, _)| *source != Source::Tool);
         self.received.clear();
         (self.rate, self.may_send, self.is_open) = (rate, may_send, true);
+    }
+
+    /// Whether the tool's adapter may send and acknowledge.
+    pub fn may_send(&self) -> bool {
+        self.may_send
     }
 
     /// The tool sends a frame.

@@ -15,6 +15,9 @@ use canopen_node::{BitRate, Frame};
 
 use crate::stop::Stop;
 
+#[cfg(feature = "adapters")]
+pub use slcan::{Port, Slcan};
+
 /// The part that an adapter takes on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
@@ -89,6 +92,10 @@ pub trait Adapter {
     }
     /// The adapter and its version, for a person.
     fn description(&self) -> String;
+    /// What a person must know of it, as far as that has shown.
+    fn doubts(&self) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 /// Whether a read or a write has only come to the end of its wait.
@@ -186,7 +193,9 @@ impl Place {
     #[cfg(feature = "adapters")]
     pub fn connect(&self) -> Result<Box<dyn Adapter>, Stop> {
         Ok(match self {
-            Self::Serial { .. } | Self::Tcp(_) => Box::new(slcan::Slcan::connect(self.clone())?),
+            Self::Serial { .. } | Self::Tcp(_) => {
+                Box::new(Slcan::new(self.clone(), slcan::connect(self)?)?)
+            }
             Self::SocketCan { interface, fixed_rate } => {
                 socketcan::connect(interface, *fixed_rate)?
             }

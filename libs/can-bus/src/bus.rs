@@ -242,6 +242,11 @@ impl Bus {
         }
     }
 
+    /// What a person must know of the adapter, as far as that has shown.
+    pub fn remarks(&self) -> Vec<String> {
+        self.adapter.doubts()
+    }
+
     /// The adapter and its version, for a person.
     pub fn description(&self) -> String {
         self.adapter.description()

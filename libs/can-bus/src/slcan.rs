@@ -4,6 +4,8 @@ use std::fmt;
 
 /// The end of a command, and of all answers but a refusal.
 pub const END: u8 = b'\r';
+/// What some adapters send in its place, or behind it.
+pub const LF: u8 = b'\n';
 /// The answer to a command that is unknown, or not possible now. It has no other end.
 pub const REFUSED: u8 = 0x07;
 /// The longest line that is taken: a frame with eight bytes and a time stamp has 31 characters.

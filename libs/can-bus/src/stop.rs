@@ -9,6 +9,8 @@ use canopen_node::Frame;
 pub enum Stop {
     /// There is no such adapter, or it refuses to work.
     NoAdapter(String),
+    /// The adapter does not have a bit rate.
+    NoBitRate(String),
     /// The adapter has vanished.
     AdapterGone(String),
     /// Ctrl-C.
@@ -25,6 +27,7 @@ impl fmt::Display for Stop {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoAdapter(why) => write!(f, "no adapter: {why}"),
+            Self::NoBitRate(why) => write!(f, "the adapter lacks the bit rate: {why}"),
             Self::AdapterGone(why) => write!(f, "the adapter has vanished: {why}"),
             Self::Interrupted => f.write_str("interrupted"),
             Self::OtherMaster(frame) => write!(

@@ -53,7 +53,7 @@ impl Failure {
             Self::Refused(_) | Self::Write(_) => 1,
             Self::Stop(Stop::OtherMaster(_) | Stop::Bench(_)) => 1,
             Self::NoAnswer(_) => 3,
-            Self::Stop(Stop::NoAdapter(_) | Stop::AdapterGone(_)) => 4,
+            Self::Stop(Stop::NoAdapter(_) | Stop::NoBitRate(_) | Stop::AdapterGone(_)) => 4,
             Self::Stop(Stop::Interrupted) => 130,
         }
     }

@@ -168,6 +168,10 @@ impl Adapter for Recorder {
     fn description(&self) -> String {
         self.adapter.description()
     }
+
+    fn doubts(&self) -> Vec<String> {
+        self.adapter.doubts()
+    }
 }
 
 #[cfg(test)]

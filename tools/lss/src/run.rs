@@ -42,10 +42,12 @@ impl Session<'_> {
         // A running network has an NMT master and SDO clients.
         self.bus.mind(Masters::Lss);
         self.bus.set_pace(Pace::Quick);
+        self.remark();
         let outcome = match arguments.command.is_json() {
             true => self.in_json(arguments),
             false => self.dispatch(arguments),
         };
+        self.remark();
         self.progress.clear();
         let is_over = match arguments.command {
             // It changes no state.

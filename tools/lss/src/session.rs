@@ -43,6 +43,8 @@ pub struct Session<'a> {
     pub twice: Vec<u32>,
     /// What a command has found or done, which is printed as JSON.
     pub result: serde_json::Value,
+    /// What the person was told of the adapter.
+    pub remarks: Vec<String>,
     /// What the adapter did, for a picture.
     pub record: Option<Record>,
 }
@@ -61,6 +63,7 @@ impl<'a> Session<'a> {
             slow_answer: None,
             twice: Vec::new(),
             result: serde_json::Value::Null,
+            remarks: Vec::new(),
             record: None,
         }
     }
@@ -79,6 +82,16 @@ impl<'a> Session<'a> {
             bus.pass(GLANCE)?;
             Ok(bus.time() < until)
         })
+    }
+
+    /// Tells the person what must be known of the adapter.
+    pub fn remark(&mut self) {
+        for remark in self.bus.remarks() {
+            if !self.remarks.contains(&remark) {
+                self.progress.note(&format!("note: {remark}"));
+                self.remarks.push(remark);
+            }
+        }
     }
 
     /// Lets a Ctrl-C wait until the work is done.

@@ -1,5 +1,6 @@
 //! `lss find`: the bit rate of the network, and who answers.
 
+use can_bus::stop::Stop;
 use canopen_node::BitRate;
 
 use crate::{
@@ -22,7 +23,24 @@ const MIXED: &str =
 /// change no state. The adapter was expected to be at `expected`.
 pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<(), Failure> {
     writeln!(session.out, "adapter: {}", session.bus.description())?;
-    let rates: Vec<BitRate> = match session.bus.fixed_rate() {
+    let mut lacking = Vec::new();
+    let outcome = search(session, expected, asks, &mut lacking);
+    if !lacking.is_empty() {
+        let lacking: Vec<String> = lacking.iter().map(BitRate::to_string).collect();
+        let lacking = lacking.join(", ");
+        writeln!(session.out, "this adapter does not have {lacking}: nobody was looked for there")?;
+    }
+    outcome
+}
+
+/// The bit rates that the adapter is `lacking` are left out.
+fn search(
+    session: &mut Session<'_>,
+    expected: BitRate,
+    asks: bool,
+    lacking: &mut Vec<BitRate>,
+) -> Result<(), Failure> {
+    let mut rates: Vec<BitRate> = match session.bus.fixed_rate() {
         Some(rate) => vec![rate],
         None => {
             // The most likely ones first, where boards without an error to search from answer at once.
@@ -38,7 +56,13 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
     let mut sights = Vec::new();
     for &rate in &rates {
         session.progress.say(|| format!("listening at {rate}"));
-        let sight = rate::listen(session, rate)?;
+        let sight = match rate::listen(session, rate) {
+            Err(Failure::Stop(Stop::NoBitRate(_))) => {
+                lacking.push(rate);
+                continue;
+            }
+            sight => sight?,
+        };
         has_signals |= sight.has_errors;
         if !sight.heard.is_empty() {
             let has_errors = sight.has_errors;
@@ -65,6 +89,7 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
     if !asks {
         return Err(Failure::NoAnswer(QUIET.into()));
     }
+    rates.retain(|rate| !lacking.contains(rate));
     let (answers, has_errors) = ask_at_all(session, &rates)?;
     for (rate, sight) in &answers {
         tell(session, *rate, expected, sight)?;
@@ -80,26 +105,27 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
 ///
 /// A board that looks for the bit rate of its network may follow a question to another one than its own. The question
 /// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each
-/// with an answer once more.
+/// with an answer once more. The adapter reports no error where somebody acknowledges; that is an answer only if it
+/// has reported errors at another bit rate.
 fn ask_at_all(
     session: &mut Session<'_>,
     rates: &[BitRate],
 ) -> Result<(Vec<(BitRate, Sight)>, bool), Failure> {
     let mut has_errors = false;
-    let mut candidates = Vec::new();
+    let mut sights = Vec::new();
     for &rate in rates {
         session.progress.say(|| format!("asking at {rate}"));
         let sight = rate::answers_at(session, rate)?;
         has_errors |= sight.has_errors;
-        if sight.has_answer() {
-            candidates.push(rate);
-        }
+        sights.push((rate, sight));
     }
+    let takes_part = |sight: &Sight| sight.has_answer() || has_errors && sight.is_acknowledged;
+    sights.retain(|(_, sight)| takes_part(sight));
     let mut answers = Vec::new();
-    for rate in candidates {
+    for (rate, _) in sights {
         session.progress.say(|| format!("asking at {rate} again"));
         let mut sight = rate::answers_at(session, rate)?;
-        if sight.has_answer() {
+        if takes_part(&sight) {
             rate::name(session, &mut sight)?;
             answers.push((rate, sight));
         }

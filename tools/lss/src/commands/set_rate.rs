@@ -24,6 +24,9 @@ pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result
         ));
     }
     let members = plan(session)?;
+    // The boards must not go where the adapter cannot follow.
+    session.bus.listen(to)?;
+    session.bus.open(from)?;
     session.progress.clear();
     writeln!(session.out, "plan: {} from {from} to {to}", counted(members.len(), "board"))?;
     session.bus.check_interrupt()?;

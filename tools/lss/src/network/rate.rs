@@ -28,14 +28,14 @@ pub struct Sight {
     /// The node-IDs that answer.
     pub nodes: Vec<u8>,
     pub has_errors: bool,
-    /// Somebody acknowledges the adapter's frames, as far as the adapter can tell.
-    is_acknowledged: bool,
+    /// The adapter has reported no errors: somebody acknowledges its frames, unless it never reports any.
+    pub is_acknowledged: bool,
 }
 
 impl Sight {
-    /// Somebody takes part in the bus.
+    /// A board answers.
     pub fn has_answer(&self) -> bool {
-        self.has_blank || self.is_acknowledged || !self.nodes.is_empty()
+        self.has_blank || !self.nodes.is_empty()
     }
 }
 
@@ -89,14 +89,17 @@ pub fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Resul
         session.bus.pass(REPETITION)?;
     }
     sight.is_acknowledged = status.is_some_and(|status| !status.has_errors);
-    if status.is_none() && !sight.has_blank {
+    // Nobody answers to frames that nobody acknowledges.
+    if !sight.has_blank && status.is_none_or(|status| !status.has_errors) {
         name(session, sight)?;
     }
     Ok(())
 }
 
-/// Asks each node for its serial number.
+/// Asks each node for its serial number, if none has answered so far.
 pub fn name(session: &mut Session<'_>, sight: &mut Sight) -> Result<(), Failure> {
-    sight.nodes = nodes::nodes(session)?.into_keys().collect();
+    if sight.nodes.is_empty() {
+        sight.nodes = nodes::nodes(session)?.into_keys().collect();
+    }
     Ok(())
 }

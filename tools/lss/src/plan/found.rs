@@ -62,7 +62,8 @@ pub fn open(
     if let Some(other) = other.filter(|other| fixed.is_none() && *other != rate) {
         match rate::heard_at(session, &[rate, other])? {
             Some(heard) => rate = heard,
-            None if rate::answers_at(session, rate)?.has_answer() => {}
+            // What follows needs answers: to be acknowledged is enough here.
+            None if rate::answers_at(session, rate)?.is_acknowledged => {}
             None => {
                 return Err(Failure::NoAnswer(format!(
                     "nobody answers at {rate}, and no frame is heard at {rate} and {other}. If the boards are at {other}: \

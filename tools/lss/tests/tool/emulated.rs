@@ -70,6 +70,8 @@ pub struct Outcome {
     pub slow_answer: Option<Duration>,
     /// The serial numbers that the person was told to be there twice.
     pub twice: Vec<u32>,
+    /// What the person was told of the adapter.
+    pub remarks: Vec<String>,
 }
 
 impl Boards {
@@ -198,13 +200,14 @@ pub fn run(
     let outcome = session.run(&arguments);
     let slow_answer = session.slow_answer;
     let twice = std::mem::take(&mut session.twice);
+    let remarks = std::mem::take(&mut session.remarks);
     let text = String::from_utf8(out).expect("UTF-8");
     let (code, error) = match outcome {
         Ok(()) => (0, String::new()),
         Err(failure) => (failure.exit_code(), failure.to_string()),
     };
     println!("{text}{error}");
-    Outcome { text, code, error, slow_answer, twice }
+    Outcome { text, code, error, slow_answer, twice, remarks }
 }
 
 /// The LSS address of the board with this number.

@@ -28,7 +28,7 @@ use testkit::{
     node_rig::NodeRig,
     random::Random,
     sdo::Client,
-    slave_bus::{BusAdapter, Habits, Happening, SlaveBus},
+    slave_bus::{BusAdapter, Firmware, Habits, Happening, SlaveBus},
 };
 
 use crate::emulated::{Outcome, run, text};
@@ -142,6 +142,11 @@ impl Wire {
         self.adapter.bus()
     }
 
+    /// The tool's adapter with the firmware of another one.
+    pub fn with_firmware(&self, firmware: Firmware) -> Result<Box<dyn Adapter>, Stop> {
+        self.adapter.with_firmware(firmware)
+    }
+
     pub fn record(&self) -> RefMut<'_, Record> {
         self.record.borrow_mut()
     }
@@ -162,6 +167,16 @@ impl Wire {
     /// Lets something go wrong.
     pub fn fail_at(&self, at: At, fault: Fault) {
         self.record().fault = Some((fault, at));
+    }
+
+    /// Lets somebody send so many PDOs at once, again and again, for this time.
+    pub fn load(&self, pdos: u64, every_us: u64, seconds: u64) {
+        let mut bus = self.bus();
+        let begin = bus.now();
+        let pdo = Frame::new(0x1FF, &[0; 8]).expect("a frame");
+        for at in (begin..begin + 1_000_000 * seconds).step_by(every_us as usize) {
+            (0..pdos).for_each(|_| bus.send_from_another_master(at, pdo));
+        }
     }
 
     /// Plugs a board in, or pulls it out, so many seconds from now on.

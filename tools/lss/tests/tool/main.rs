@@ -1,6 +1,7 @@
 //! The commands of `lss` on emulated boards with the release image and on boards in the process, in virtual time, and
 //! its failures.
 
+mod adapters;
 mod apply;
 mod assign;
 mod bad_boards;
