@@ -6,8 +6,8 @@ use crate::rig::*;
 
 /// Sectors 1 and 2, which hold the settings.
 const SECTORS: u32 = 0b110;
-/// The place of the next record, behind three of the defaults, and a parameter and the settings of `about_to_store`.
-const NEXT_RECORD: u32 = SETTINGS_OFFSET + 5 * PLACE as u32;
+/// The place of the next record, behind two of the defaults, and a parameter and the settings of `about_to_store`.
+const NEXT_RECORD: u32 = SETTINGS_OFFSET + 4 * PLACE as u32;
 /// The places of a record's node-ID and commit word, behind the word that begins them.
 const NODE_ID: u32 = 4 + 5;
 const COMMIT_WORD: u32 = 4 + 28;

@@ -14,8 +14,8 @@ use super::{
 /// The starts in a row that may be cut while they format a flash.
 pub const MOST_CUT_FORMATS: usize = 2;
 /// The starts in a row that may be cut, or in which an operation may fail, after a start that was complete: each takes
-/// at most two of the eight places that are kept for starts.
-pub const MOST_CUT_STARTS: u32 = 4;
+/// one of the eight places that are kept for starts.
+pub const MOST_CUT_STARTS: u32 = 7;
 
 /// The number of stores in the lives after the first cut.
 const LATER_STORES: usize = 4;

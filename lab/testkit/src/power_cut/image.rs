@@ -59,7 +59,7 @@ fn stored((node_id, bit_rate): (u8, BitRate)) -> Settings {
 fn in_use_until(last: u16, settings: Settings) -> Vec<u8> {
     let (mut log, _) = Log::open(BoardFlash::blank(0));
     // The records of the defaults come first.
-    for place in 3..last {
+    for place in 2..last {
         let node_id = if (last - place) % 2 == 1 { settings.node_id } else { None };
         log.store(settings.with_node_id(node_id)).expect("the flash works");
     }

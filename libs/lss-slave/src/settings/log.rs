@@ -29,10 +29,9 @@
 //! - A flash with a record of another [layout](record) is only read. Before an erase, a start looks for one everywhere.
 //! - A bank is erased only by `open`, never by `store`: an erase stops the CPU for up to 800 ms, which a node on the
 //!   bus cannot afford.
-//! - Before an erase, the newest record is appended twice by the same start. The first copy, which says "used", must be
-//!   certain, and the second, which says "doomed", tells that to the starts after it. So whatever a half-erased bank
-//!   reads, a certain record in this bank is later than all that could ever be certain in the other one. Records that
-//!   were never made certain do not read so.
+//! - Before an erase, the same start appends the newest record as "used", and makes it certain. So whatever a half-erased
+//!   bank reads, a certain record in this bank is later than all that could ever be certain in the other one. Records
+//!   that were never made certain do not read so.
 //! - Only starts use the last [places](place::RESERVE) of a bank, and a start that is complete leaves them blank. If
 //!   only these are left after an erase, the log moves to the other bank. The first of them also takes back a store
 //!   that failed in the place before it.

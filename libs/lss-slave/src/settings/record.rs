@@ -104,7 +104,6 @@ impl Record {
         };
         let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
         let other_is = match other {
-            1 => OtherBank::Doomed,
             2 => OtherBank::Erased,
             _ => OtherBank::Used,
         };
@@ -127,10 +126,8 @@ pub fn is_of_other_layout(bytes: &[u8; LEN], is_place: bool) -> bool {
 /// What a record says of the other bank.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OtherBank {
-    /// It may hold anything.
+    /// It may hold anything. Earlier versions wrote 1, too.
     Used = 0,
-    /// It may be erased: the record before, which says that it is used, is certain.
-    Doomed = 1,
     /// It was erased completely, and no erase has begun since.
     Erased = 2,
 }

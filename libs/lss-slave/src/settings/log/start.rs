@@ -8,9 +8,9 @@
 //! | a valid record as the last one, which is not certain | takes it, appends it again, as "erased" if the other bank is |
 //! | a valid record, followed by something else | takes it, never writes into the rest, appends it again |
 //! | a valid record whose parameters are damaged | takes it, appends it again without parameters |
-//! | after any of these, a record without "erased", or anything in the other bank | appends it as "used", then as "doomed", erases the other bank, appends it as "erased" |
+//! | after any of these, a record without "erased", or anything in the other bank | appends it as "used", erases the other bank, appends it as "erased" |
 //! | a record of another layout | takes the newest of this one, if there is one, and writes nothing |
-//! | no valid record | erases both banks, writes a record without settings as "used", "doomed" and "erased" |
+//! | no valid record | erases both banks, writes a record without settings as "used" and "erased" |
 //! | a flash that cannot be read, erased or written | continues with the settings found, or the defaults |
 
 use core::{mem, ops::Range};
@@ -77,8 +77,8 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
         };
         self.newest = newest;
         self.uncertain = Some(newest.record.sequence);
-        // Before a record says that the other bank is not used, two are certain.
-        self.counts = newest.record.other_is != OtherBank::Used && !is_other_later;
+        // Before a record says that the other bank is erased, one is certain.
+        self.counts = newest.record.other_is == OtherBank::Erased && !is_other_later;
         self.space = bank.space(sequence);
         let is_interrupted = bank.blank_from > newest.at.saturating_add(F::PLACE);
         let is_intact = newest.is_intact(&mut self.flash);
@@ -99,14 +99,10 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
                 self.append_copy(OtherBank::Erased)?;
             }
         } else {
-            let is_doomed = newest.record.other_is == OtherBank::Doomed && self.counts;
-            if !(is_certain && is_doomed) {
-                for other_is in [OtherBank::Used, OtherBank::Doomed] {
-                    match self.append_copy(other_is) {
-                        Ok(()) | Err(Error::Full) => {}
-                        outcome => outcome?,
-                    }
-                }
+            match self.append_copy(OtherBank::Used) {
+                // As many starts as there are places for them have appended it.
+                Ok(()) | Err(Error::Full) => {}
+                outcome => outcome?,
             }
             self.erase(&other)?;
             if self.space.len::<F>() > RESERVE {
@@ -243,7 +239,6 @@ impl<F: Layout, const STORED_LEN: usize> Log<F, STORED_LEN> {
     fn move_on(&mut self, bank: &Bank) -> Result<(), Error> {
         self.space = mem::replace(&mut self.other, Space::NONE);
         self.append_copy(OtherBank::Used)?;
-        self.append_copy(OtherBank::Doomed)?;
         self.erase(bank)?;
         self.append_copy(OtherBank::Erased)
     }
