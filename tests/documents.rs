@@ -1,11 +1,12 @@
-//! The documents: links, paths and commands that they name exist, and their prose keeps to one width.
+//! The documents: links, paths and commands that they name exist, what is generated is up to date, and prose keeps to
+//! one width.
 
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use testkit::cargo::workspace;
+use testkit::{cargo::workspace, eds::ours};
 
 /// The directories with documents.
 const DIRECTORIES: [&str; 8] = [
@@ -141,6 +142,11 @@ fn every_command_of_the_project_that_a_document_names_exists() {
         }
     }
     assert_none(&faults);
+}
+
+#[test]
+fn the_data_sheets_and_the_page_of_the_objects_are_what_the_tables_give() {
+    ours::check().unwrap_or_else(|error| panic!("{error:#}"));
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! The electronic data sheet of a product (CiA 306), and a page of its objects for people, from the product's tables.
 
+#[cfg(feature = "sheets")]
+pub mod ours;
 mod page;
 
 use std::{collections::BTreeMap, fmt::Write as _};

@@ -9,10 +9,9 @@ use anyhow::{Context, ensure};
 use emulator::{chip::Part, image::Image};
 use testkit::{
     cargo::workspace,
+    eds::ours,
     release::{self, Program},
 };
-
-use crate::eds;
 
 /// Write the files of a release into target/dist
 ///
@@ -93,7 +92,7 @@ fn write(chip: Part, arguments: &Arguments) -> anyhow::Result<()> {
         package: "firmware",
         part: chip,
         name: "lss-slave",
-        data_sheet: eds::of_firmware().eds(),
+        data_sheet: ours::of_firmware().eds(),
     };
     let files = program.files()?;
     if arguments.check_reproducible {
