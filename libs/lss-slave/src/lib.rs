@@ -5,6 +5,7 @@
 //! driver with the traits of `embedded-can`:
 //!
 //! ```
+//! use std::collections::VecDeque; // Without an allocator `heapless::Deque`, with room for four frames.
 //! use embedded_can::nb::Can;
 //! use lss_slave::{Action, BitRate, BitRates, Frame, Instant, Settings, Slave, lss::{Address, StoreError}};
 //!
@@ -23,104 +24,51 @@
 //!     let mut slave = Slave::new(ADDRESS, BitRates::possible(40_000_000), settings);
 //!     board.run_at(slave.bit_rate().in_use(), slave.bit_rate().is_listening());
 //!     let mut boot_up = slave.boot_up();
+//!     // The frames for which the controller has no room yet. While there are some, requests wait in the controller.
+//!     let mut outbox = VecDeque::new();
 //!     loop {
-//! #       if board.now().as_micros() > 100_000 { return }
+//! #       if board.now().as_micros() > 200_000 { return }
 //!         let now = board.now();
-//!         let mut reaction = board.receive().ok().and_then(|frame| slave.handle_frame(&frame, now));
+//!         let frame = if outbox.is_empty() { board.receive().ok() } else { None };
+//!         let mut reaction = frame.and_then(|frame| slave.handle_frame(&frame, now));
 //!         while let Some(action) = reaction.take().or_else(|| slave.poll(now)) {
-//!             let answer = match action {
-//!                 Action::Transmit(answer) => Some(answer),
+//!             match action {
+//!                 Action::Transmit(answer) => outbox.push_back(answer),
 //!                 Action::Store => {
 //!                     let outcome = board.store(slave.lss().pending());
 //!                     slave.handle_stored(outcome);
-//!                     None
 //!                 }
 //!                 Action::ResetCommunication => {
 //!                     slave.reset_communication();
 //!                     boot_up = slave.boot_up();
-//!                     None
 //!                 }
-//!                 Action::SetBitRate(rate) => { board.run_at(rate, false); None }
-//!                 Action::Listen(rate) => { board.run_at(rate, true); None }
-//!                 Action::StopTransmitting => { board.drop_frames(); None }
-//!                 Action::ResumeTransmitting | Action::FilterFrames => None,
-//!             };
-//!             answer.map(|frame| board.transmit(&frame));
+//!                 Action::SetBitRate(rate) => board.run_at(rate, false),
+//!                 Action::Listen(rate) => board.run_at(rate, true),
+//!                 Action::StopTransmitting => {
+//!                     board.drop_frames();
+//!                     outbox.clear();
+//!                 }
+//!                 Action::ResumeTransmitting | Action::FilterFrames => {}
+//!             }
 //!         }
-//!         boot_up.take_if(|_| slave.may_send()).map(|frame| { slave.note_sent(now); board.transmit(&frame) });
+//!         if let Some(frame) = boot_up.take_if(|_| slave.may_send()) {
+//!             slave.note_sent(now);
+//!             outbox.push_back(frame);
+//!         }
+//!         while let Some(frame) = outbox.pop_front() {
+//!             match board.transmit(&frame) {
+//!                 Ok(None) => {}
+//!                 Ok(Some(replaced)) => outbox.push_front(replaced), // By a frame of a higher priority.
+//!                 Err(_) => {
+//!                     outbox.push_front(frame);
+//!                     break;
+//!                 }
+//!             }
+//!         }
 //!     }
 //! }
-//! #
-//! # /// A board whose master sends one request in a millisecond.
-//! # #[derive(Default)]
-//! # struct Simulated {
-//! #     micros: core::cell::Cell<u32>,
-//! #     requests: std::collections::VecDeque<lss_slave::lss::Request>,
-//! #     log: Vec<String>,
-//! #     stored: Option<Settings>,
-//! # }
-//! #
-//! # impl Can for Simulated {
-//! #     type Frame = Frame;
-//! #     type Error = embedded_can::ErrorKind;
-//! #     fn transmit(&mut self, frame: &Frame) -> nb::Result<Option<Frame>, Self::Error> {
-//! #         self.log.push(format!("{frame:?}"));
-//! #         Ok(None)
-//! #     }
-//! #     fn receive(&mut self) -> nb::Result<Frame, Self::Error> {
-//! #         self.requests.pop_front().map(|request| request.to_frame()).ok_or(nb::Error::WouldBlock)
-//! #     }
-//! # }
-//! #
-//! # impl Board for Simulated {
-//! #     fn now(&self) -> Instant {
-//! #         self.micros.set(self.micros.get() + 1_000);
-//! #         Instant::from_micros(self.micros.get())
-//! #     }
-//! #     fn load(&mut self) -> Option<Settings> {
-//! #         self.stored
-//! #     }
-//! #     fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
-//! #         self.stored = Some(settings);
-//! #         Ok(())
-//! #     }
-//! #     fn run_at(&mut self, rate: BitRate, is_silent: bool) {
-//! #         self.log.push(format!("{rate}, silent: {is_silent}"));
-//! #     }
-//! #     fn drop_frames(&mut self) {
-//! #         self.log.push("drops its frames".into());
-//! #     }
-//! # }
-//! #
-//! # use lss_slave::lss::Request;
-//! # let requests = [
-//! #     Request::SwitchToConfiguration,
-//! #     Request::ConfigureNodeId(5),
-//! #     Request::ConfigureBitTiming { table: 0, index: BitRate::Kbit500.index() },
-//! #     Request::StoreConfiguration,
-//! #     Request::SwitchToWaiting,
-//! #     Request::SwitchToConfiguration,
-//! #     Request::ActivateBitTiming(10),
-//! # ];
-//! # let mut board = Simulated { requests: requests.into(), ..Simulated::default() };
-//! # run(&mut board);
-//! # let zeros = "00, 00, 00, 00, 00, 00, 00";
-//! # assert_eq!(
-//! #     board.log,
-//! #     [
-//! #         "125 kbit/s, silent: false".into(),
-//! #         format!("7E4: [11, {zeros}]"),
-//! #         format!("7E4: [13, {zeros}]"),
-//! #         format!("7E4: [17, {zeros}]"),
-//! #         "705: [00]".into(),
-//! #         "drops its frames".into(),
-//! #         "500 kbit/s, silent: false".into(),
-//! #     ]
-//! # );
-//! # board.log.clear();
-//! # board.micros.set(0);
-//! # run(&mut board);
-//! # assert_eq!(board.log, ["500 kbit/s, silent: false", "705: [00]"], "both settings are stored");
+//! # fn main() { test() }
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/first_page/board.rs"));
 //! ```
 //!
 //! A driver's own frame becomes a [`Frame`] by [`Frame::received`], and the other way by its
