@@ -193,9 +193,9 @@ fn an_application_without_objects_gets_events_and_reports_errors() {
     assert_eq!(board.nmt("01 05"), SILENCE);
     let events = &board.node.application().events;
     assert!(events.contains(&Event::Nmt(nmt::State::Operational)), "{events:?}");
-    assert!(board.node.report(0x5000, 0, [0; 5]));
-    assert_eq!(board.pass_ms(0), ["085: 00 50 01 00 00 00 00 00"]);
-    board.node.end_report(0x5000);
+    assert!(board.node.report(0x5001, 0, [0; 5]));
+    assert_eq!(board.pass_ms(0), ["085: 01 50 01 00 00 00 00 00"]);
+    board.node.end_report(0x5001);
     assert_eq!(board.pass_ms(0), ["085: 00 00 00 00 00 00 00 00"]);
 }
 

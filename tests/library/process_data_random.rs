@@ -1,6 +1,10 @@
 //! Random changes, SYNCs, RPDOs and NMT commands, compared with a second model that counts milliseconds.
 
-use testkit::{frames::Frames, random::Random};
+use testkit::{
+    frames::{Frames, SILENCE},
+    random::Random,
+    sdo::Client,
+};
 
 use crate::process_data::{Board, board, change, map, receive, set};
 
@@ -18,6 +22,8 @@ struct Model {
     event_ms: u64,
     /// What the TPDO last carried since the node became operational, and when.
     last: Option<([u8; 2], u64)>,
+    /// It is sent at the next opportunity, whatever it last carried.
+    is_due: bool,
     syncs: u64,
     waiting: Option<(u8, u16)>,
 }
@@ -29,12 +35,20 @@ impl Model {
 
     fn send(&mut self) -> Option<[u8; 2]> {
         self.last = Some((self.data(), self.now));
+        self.is_due = false;
         Some(self.data())
     }
 
     fn start(&mut self) {
         if !self.is_operational {
-            *self = Self { is_operational: true, last: None, syncs: 0, waiting: None, ..*self };
+            *self = Self {
+                is_operational: true,
+                last: None,
+                is_due: false,
+                syncs: 0,
+                waiting: None,
+                ..*self
+            };
         }
     }
 
@@ -48,7 +62,7 @@ impl Model {
         };
         let age = self.now - at;
         let is_old = self.event_ms > 0 && age >= self.event_ms;
-        let is_sent = age >= self.inhibit_ms && (is_old || data != self.data());
+        let is_sent = age >= self.inhibit_ms && (self.is_due || is_old || data != self.data());
         if is_sent { self.send() } else { None }
     }
 
@@ -61,11 +75,18 @@ impl Model {
         }
         self.syncs += 1;
         let is_sent = match self.tpdo_type {
-            0 => self.last.is_none_or(|(data, _)| data != self.data()),
+            0 => self.is_due || self.last.is_none_or(|(data, _)| data != self.data()),
             1..=240 => self.syncs.is_multiple_of(self.tpdo_type),
             _ => return self.act(),
         };
         if is_sent { self.send() } else { None }
+    }
+
+    /// The TPDO is made invalid and valid again, or of another type. Its inhibit time goes on.
+    fn renew(&mut self) -> Option<[u8; 2]> {
+        self.syncs = 0;
+        self.is_due = true;
+        self.act()
     }
 
     fn receive(&mut self, lamps: u8, speed: u16) {
@@ -142,6 +163,16 @@ fn random_events_have_the_same_effect_on_a_second_model() {
                     model.receive(lamps, speed);
                     let text = format!("240: {lamps:02X} {low:02X} {high:02X}");
                     (receive(&mut board, &text), model.act(), "RPDO")
+                }
+                8 if random.one_in(4) => {
+                    // A clock that wraps every 71.6 minutes must not let the inhibit time begin again.
+                    let ms = random.pick(&[1, 60_000 * 36, 60_000 * 71, 60_000 * 72]);
+                    set(&mut board, 0x1800, 1, 0x8000_01C0, 4);
+                    assert_eq!(board.pass_ms(ms), SILENCE, "{ms} ms");
+                    model.now += ms;
+                    let frames = board.sdo("23 00 18 01 C0 01 00 00");
+                    let pdos = frames.0.into_iter().filter(|frame| frame.cob_id() != 0x5C0);
+                    (Frames(pdos.collect()), model.renew(), "valid again")
                 }
                 _ => {
                     model.now += 1;

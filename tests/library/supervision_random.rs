@@ -31,6 +31,7 @@ const GAPS_US: [u64; 6] = [2, 500, 20_000, 200_000, 900_000, 4_000_000];
 /// A node, and the knowledge about it from outside.
 struct Run {
     board: NodeRig,
+    heartbeat_ms: u16,
     default: BitRate,
     home: BitRate,
     /// Configured by `13` and not activated.
@@ -62,6 +63,7 @@ impl Run {
                 BoardFlash::blank(0),
                 clock_at_start,
             ),
+            heartbeat_ms,
             default: home,
             home,
             configured: None,
@@ -212,7 +214,11 @@ impl Run {
                 self.skip_actions();
             }
             11 => {
-                self.board.pass_ms(random.within(0..40_000));
+                // Also half a turn of the count, and a whole one; frequent heartbeats would make it slow.
+                let any = random.within(0..40_000);
+                let is_long = self.heartbeat_ms % 1_000 == 0 && random.one_in(2);
+                let long = 60_000 * random.pick(&[36, 71, 72]);
+                self.board.pass_ms(if is_long { long } else { any });
             }
             _ => {}
         }
