@@ -10,6 +10,7 @@ mod eds;
 mod emergency;
 mod emergency_parameters;
 mod frame;
+mod frame_table;
 mod heartbeat_consumer;
 mod indicator;
 mod late_calls;

@@ -3,7 +3,6 @@
 use testkit::{
     frames::{Frames, SILENCE},
     random::Random,
-    sdo::Client,
 };
 
 use crate::process_data::{Board, board, change, map, receive, set};

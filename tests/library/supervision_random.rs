@@ -216,7 +216,7 @@ impl Run {
             11 => {
                 // Also half a turn of the count, and a whole one; frequent heartbeats would make it slow.
                 let any = random.within(0..40_000);
-                let is_long = self.heartbeat_ms % 1_000 == 0 && random.one_in(2);
+                let is_long = self.heartbeat_ms.is_multiple_of(1_000) && random.one_in(2);
                 let long = 60_000 * random.pick(&[36, 71, 72]);
                 self.board.pass_ms(if is_long { long } else { any });
             }
