@@ -20,8 +20,9 @@ const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
 const OF_FIRMWARE: [&str; 4] = ["src/device.rs", "src/lib.rs", "src/main.rs", "src/pins.rs"];
 
 /// The other files of the product, with gaps for its name, its chip and its controller.
-const TEMPLATE: [&str; 11] = [
+const TEMPLATE: [&str; 12] = [
     ".cargo/config.toml",
+    ".vscode/settings.json",
     "Cargo.toml",
     "README.md",
     "build.rs",
@@ -382,6 +383,16 @@ mod tests {
         let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"));
         let config: Table = content(&files, ".cargo/config.toml").parse().expect("TOML");
         assert_eq!(config["env"]["PROBE_RS_CHIP"].as_str(), Some("STM32F413VHTx"));
+    }
+
+    #[test]
+    fn the_editor_of_a_product_checks_it_for_its_chip() {
+        let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"));
+        let settings = content(&files, ".vscode/settings.json");
+        let manifest: Table = content(&files, "Cargo.toml").parse().expect("TOML");
+        let of_program = &manifest["bin"][0]["required-features"][0];
+        assert!(settings.contains(&format!("\"rust-analyzer.cargo.features\": [{of_program}]")));
+        assert!(settings.contains("\"rust-analyzer.cargo.target\": \"thumbv7em-none-eabihf\""));
     }
 
     #[test]
