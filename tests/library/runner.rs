@@ -5,9 +5,10 @@ use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use canopen_node::{
     Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives, Settings,
-    application::NoApplication,
+    application::{NoApplication, Text},
     indicator::BusState,
     lss::StoreError,
+    objects,
     runner::{self, BusError, Controller, Mode, Received, Runner, Sample, System},
     settings::{Found, Log},
 };
@@ -134,6 +135,17 @@ impl System for Handle {
         self.0.borrow_mut().alarm_at_us = at.as_micros();
     }
 }
+
+objects! {
+    /// What is long enough for block transfer.
+    struct Label, values LabelValue;
+
+    0x2001 {
+        0 "Label" label: Text<40> = Text::EMPTY, rw;
+    }
+}
+
+impl Application for Label {}
 
 /// A board with its runner.
 struct Board<A: Application = NoApplication> {
@@ -302,15 +314,21 @@ fn frames_that_find_no_room_are_dropped() {
 }
 
 /// The handlers, one of which an interrupt calls first after a halt.
-const HANDLERS: [fn(&mut Runner<Handle, Handle>); 4] = [
-    |runner| runner.handle_received(),
-    |runner| runner.handle_transmitted(),
-    |runner| runner.handle_status(),
-    |runner| _ = runner.handle_alarm(),
-];
+fn handlers<A: Application>() -> [fn(&mut Runner<Handle, Handle, A>); 4] {
+    [
+        |runner| runner.handle_received(),
+        |runner| runner.handle_transmitted(),
+        |runner| runner.handle_status(),
+        |runner| _ = runner.handle_alarm(),
+    ]
+}
 
 /// Lets a debugger halt the program for so many seconds, while the controller goes on; then calls this handler.
-fn halt(board: &mut Board, seconds: u32, handler: fn(&mut Runner<Handle, Handle>)) {
+fn halt<A: Application>(
+    board: &mut Board<A>,
+    seconds: u32,
+    handler: fn(&mut Runner<Handle, Handle, A>),
+) {
     let end = Instant::from_micros(board.chip().now_us).plus_micros(seconds * 1_000_000);
     board.chip().now_us = end.as_micros();
     if board.chip().place.is_some() {
@@ -325,7 +343,7 @@ fn halt(board: &mut Board, seconds: u32, handler: fn(&mut Runner<Handle, Handle>
 /// Two seconds, and more than half a turn of the count of microseconds.
 #[test]
 fn what_came_or_waited_while_a_debugger_had_halted_the_core_is_dropped() {
-    for (seconds, handler) in [2, 40 * 60].into_iter().flat_map(|s| HANDLERS.map(|h| (s, h))) {
+    for (seconds, handler) in [2, 40 * 60].into_iter().flat_map(|s| handlers().map(|h| (s, h))) {
         let mut board = Board::with_node_id();
         board.chip().is_bus_free = false;
         board.receive(&["04 01", "5E", "5A", "605: 40 00 10 00 00 00 00 00"]);
@@ -340,8 +358,11 @@ fn what_came_or_waited_while_a_debugger_had_halted_the_core_is_dropped() {
 
 #[test]
 fn a_block_upload_does_not_go_on_after_a_halt_of_the_core() {
-    for handler in HANDLERS {
-        let mut board = Board::with_node_id();
+    for handler in handlers() {
+        let device = device(ADDRESS).with_defaults(defaults(5));
+        let mut board = Board::with_application(device, Label::new());
+        board.pass_ms(1);
+        board.take_sent();
         board.receive(&["605: A0 08 10 00 7F 00 00 00"]);
         assert!(board.take_sent().texts()[0].starts_with("585: C"));
         board.chip().is_bus_free = false;
@@ -621,7 +642,8 @@ fn a_frame_that_was_found_by_listening_counts_where_it_was_found() {
 #[test]
 fn the_next_segments_of_an_upload_are_made_when_those_before_have_left() {
     let device = device(ADDRESS).with_defaults(defaults(5));
-    let mut board = Board::new(device.with_name("a name that takes four segments"));
+    let device = device.with_name("a name that takes four segments");
+    let mut board = Board::with_application(device, Label::new());
     board.pass_ms(1);
     board.receive(&["605: A0 08 10 00 7F 00 00 00"]);
     board.take_sent();

@@ -1,6 +1,11 @@
 //! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15).
 
-use canopen_node::{BusEvent, Instant, sdo::Abort};
+use canopen_node::{
+    Application, BusEvent, Instant,
+    application::{Domain, Text},
+    objects,
+    sdo::Abort,
+};
 use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,
@@ -54,14 +59,40 @@ fn a_domain_of_any_length_is_downloaded_in_blocks() {
 }
 
 #[test]
-fn a_node_without_an_application_has_segmented_and_block_transfer_too() {
+fn a_node_whose_values_are_short_has_segmented_transfer_and_refuses_blocks() {
+    const COMMAND: u32 = Abort::Command as u32;
     let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.block_upload(0x1008, 0, 1).unwrap(), b"Test board");
-    assert_eq!(board.block_upload(0x1018, 4, 1).unwrap(), [0xEF, 0xBE, 0xAD, 0xDE]);
-    assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Ok(()));
-    assert_eq!(board.number(0x1017, 0), 1000);
+    assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
+    assert_eq!(board.block_upload(0x1008, 0, 1), Err(COMMAND));
+    assert_eq!(board.block_upload(0x1018, 4, 1), Err(COMMAND));
+    assert_eq!(board.block_download(0x1017, 0, &[0xE8, 3]), Err(COMMAND));
     assert_eq!(board.download_segments(0x1017, 0, &[0xD0, 7], None), Ok(()));
     assert_eq!(board.number(0x1017, 0), 2000);
+}
+
+#[test]
+fn block_transfer_of_all_objects_is_there_where_one_may_have_more_than_32_bytes() {
+    macro_rules! check {
+        ($type:ty = $default:expr, $access:ident, $expected:expr) => {{
+            objects! {
+                struct One, values Value;
+                0x2001 { 0 "Value" value: $type = $default, $access; }
+            }
+            impl Application for One {}
+
+            let mut board = NodeRig::running(One::new());
+            let is_read = board.block_upload(0x1018, 4, 1).is_ok();
+            let is_written = board.block_download(0x1017, 0, &[0xE8, 3]).is_ok();
+            assert_eq!([is_read, is_written], $expected);
+        }};
+    }
+
+    check!(Text<32> = Text::EMPTY, rw, [false, false]);
+    check!(Text<33> = Text::EMPTY, rw, [true, true]);
+    check!(&'static str = "", constant, [true, false]);
+    check!(Domain = Domain, ro, [true, false]);
+    check!(Domain = Domain, wo, [false, true]);
+    check!(Domain = Domain, rw, [true, true]);
 }
 
 #[test]

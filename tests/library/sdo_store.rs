@@ -6,6 +6,8 @@ use testkit::{
     sdo::Client,
 };
 
+use crate::sdo_machine;
+
 const SAVE: &str = "23 10 10 01 73 61 76 65";
 const SAVED: &str = "5C0: 60 10 10 01 00 00 00 00";
 const LOAD: &str = "23 11 10 01 6C 6F 61 64";
@@ -98,7 +100,9 @@ fn stores_one_behind_the_other_are_each_confirmed_in_their_way() {
         (&["20 10 10 01", "07 73 61 76 65"][..], "5C0: 20 00 00 00 00 00 00 00"),
         (&["C0 10 10 01", "81 73 61 76 65", "CD"], "5C0: A1 00 00 00 00 00 00 00"),
     ] {
-        let mut board = NodeRig::with_slow_stores();
+        // One with block transfer.
+        let mut board = sdo_machine::board();
+        board.let_stores_take_time();
         let answers: Vec<_> = messages.iter().map(|message| board.sdo(message)).collect();
         assert_eq!(answers[messages.len() - 1], SILENCE, "it is not stored yet");
         assert_eq!(board.sdo(LOAD), SILENCE);

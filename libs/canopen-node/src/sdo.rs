@@ -1,4 +1,5 @@
-//! The SDO server (CiA 301, 7.2.4): expedited, segmented and block transfer in both directions.
+//! The SDO server (CiA 301, 7.2.4): expedited and segmented transfer in both directions, and block transfer where the
+//! dictionary has an object that is long enough for it.
 
 mod block_download;
 mod block_upload;

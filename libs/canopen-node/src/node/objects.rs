@@ -15,7 +15,7 @@ use crate::{
     emergency::Emergency,
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
-    object_dictionary::{self, Entry, Object, TABLE},
+    object_dictionary::{self, Access, Entry, Object, TABLE},
     sdo::{self, Abort, BLOCK_SIZE, Content, Message, Objects},
 };
 
@@ -113,6 +113,27 @@ impl<A: Application> Node<A> {
     }
 }
 
+/// The accesses of a client to the values of an application that may take more than 32 bytes, which are five segments.
+struct Long {
+    is_read: bool,
+    is_written: bool,
+}
+
+impl Long {
+    const fn of<A: Application>() -> Self {
+        let is_any = size_of::<A::SdoBuffer>() > 32;
+        let (mut long, mut objects) = (Self { is_read: is_any, is_written: is_any }, A::OBJECTS);
+        while let [Entry { access, data_type, options, .. }, others @ ..] = objects {
+            let is_constant_text = matches!(access, Access::Const) && data_type.size() == 0;
+            let is_long = options.is_streamed() || is_constant_text;
+            long.is_read |= is_long && !matches!(access, Access::WriteOnly);
+            long.is_written |= is_long && !matches!(access, Access::Const | Access::ReadOnly);
+            objects = others;
+        }
+        long
+    }
+}
+
 /// The parts of the node that objects read and write, at one time.
 pub(super) struct NodeObjects<'a, A: Application> {
     pub slave: &'a mut Slave,
@@ -128,6 +149,8 @@ pub(super) struct NodeObjects<'a, A: Application> {
 impl<A: Application> Objects for NodeObjects<'_, A> {
     const TIMEOUT_MICROS: u32 = A::SDO_TIMEOUT_MS as u32 * 1000;
     const PROGRAM_DOWNLOAD: bool = A::PROGRAM_DOWNLOAD;
+    const BLOCK_UPLOAD: bool = Long::of::<A>().is_read;
+    const BLOCK_DOWNLOAD: bool = A::PROGRAM_DOWNLOAD || Long::of::<A>().is_written;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort> {
         if A::PROGRAM_DOWNLOAD && program::contains(index) {

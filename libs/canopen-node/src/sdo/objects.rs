@@ -21,6 +21,9 @@ pub(crate) trait Objects {
     const TIMEOUT_MICROS: u32;
     /// Whether there are the objects of program download.
     const PROGRAM_DOWNLOAD: bool;
+    /// Whether a client can read, and write, so much that block transfer pays. Otherwise the server takes no code for it.
+    const BLOCK_UPLOAD: bool;
+    const BLOCK_DOWNLOAD: bool;
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
     fn read(&mut self, entry: &Entry) -> Result<Content, Abort>;

@@ -161,7 +161,9 @@ impl<B: Buffer> Server<B> {
                 objects.forget_store();
                 Ok(None)
             }
-            UPLOAD | BLOCK_UPLOAD | DOWNLOAD | BLOCK_DOWNLOAD => self.begin(request, objects),
+            UPLOAD | DOWNLOAD => self.begin(request, objects),
+            BLOCK_UPLOAD if O::BLOCK_UPLOAD => self.begin(request, objects),
+            BLOCK_DOWNLOAD if O::BLOCK_DOWNLOAD => self.begin(request, objects),
             _ => Err(Abort::Command),
         };
         answer.unwrap_or_else(|code| Some(Message::abort(request.address(), code)))
@@ -179,7 +181,7 @@ impl<B: Buffer> Server<B> {
             (UPLOAD | BLOCK_UPLOAD, Access::WriteOnly) => Err(Abort::WriteOnly),
             (DOWNLOAD | BLOCK_DOWNLOAD, Access::Const | Access::ReadOnly) => Err(Abort::ReadOnly),
             (DOWNLOAD, _) => self.download(request, entry, objects),
-            (BLOCK_DOWNLOAD, _) => {
+            (BLOCK_DOWNLOAD, _) if O::BLOCK_DOWNLOAD => {
                 let size = if O::PROGRAM_DOWNLOAD { objects.grant(entry) } else { BLOCK_SIZE };
                 self.block_download(request, entry, size, objects).map(Some)
             }
@@ -190,8 +192,8 @@ impl<B: Buffer> Server<B> {
                 }
                 let upload = Upload::begin(entry, value, objects, self.buffer.as_mut())?;
                 let answer = match service {
-                    UPLOAD => self.upload(upload, objects),
-                    _ => self.block_upload(request, upload, objects),
+                    BLOCK_UPLOAD if O::BLOCK_UPLOAD => self.block_upload(request, upload, objects),
+                    _ => self.upload(upload, objects),
                 };
                 answer.map(Some)
             }
@@ -306,7 +308,9 @@ impl<B: Buffer> Server<B> {
     fn proceed<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<Message> {
         let deadline = self.poll_at::<O>()?;
         let code = match &mut self.transfer {
-            Some(Transfer::BlockUpload(upload)) if upload.is_sending() && self.credit > 0 => {
+            Some(Transfer::BlockUpload(upload))
+                if O::BLOCK_UPLOAD && upload.is_sending() && self.credit > 0 =>
+            {
                 self.since = now;
                 self.credit = self.credit.saturating_sub(1);
                 match upload.next_segment(objects, self.buffer.as_ref()) {
@@ -370,10 +374,10 @@ impl Transfer {
     ) -> Result<(Option<Message>, bool), Abort> {
         let (command, data) = (message.command(), message.payload());
         match (command >> 5, self) {
-            (_, Self::BlockDownload(download)) if download.is_in_block() => {
+            (_, Self::BlockDownload(download)) if O::BLOCK_DOWNLOAD && download.is_in_block() => {
                 Ok((download.handle_segment(command, data, objects, buffer)?, false))
             }
-            (BLOCK_DOWNLOAD, Self::BlockDownload(download)) => {
+            (BLOCK_DOWNLOAD, Self::BlockDownload(download)) if O::BLOCK_DOWNLOAD => {
                 Ok((download.end(command, data, objects, buffer)?, true))
             }
             (UPLOAD_SEGMENT, Self::Upload(upload)) => {
@@ -383,7 +387,9 @@ impl Transfer {
             (DOWNLOAD_SEGMENT, Self::Download(download)) => {
                 download.handle_segment(command, &data, objects, buffer)
             }
-            (BLOCK_UPLOAD, Self::BlockUpload(upload)) => upload.handle(command, data),
+            (BLOCK_UPLOAD, Self::BlockUpload(upload)) if O::BLOCK_UPLOAD => {
+                upload.handle(command, data)
+            }
             _ => Err(Abort::Command),
         }
     }
