@@ -5,7 +5,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use canopen_node::{
-    Application, BusEvent, Frame, NodeId,
+    Application, Frame, NodeId, Service,
     application::{Domain, Text},
     lss::StoreError,
     nmt::State,
@@ -141,7 +141,7 @@ fn step(board: &mut Board, [kind, ms, data @ ..]: [u8; 10]) {
         12 if !board.is_storing() => {}
         12 if data[0] == 0 => _ = board.end_store(Err(StoreError::MediumAccess)),
         12 => _ = board.finish_store(),
-        13 => board.report(BusEvent::Acknowledged),
+        13 => _ = board.acknowledge(if data[0] & 1 == 0 { Service::BootUp } else { Service::Emergency }),
         14 => _ = board.node.report(u16::from(data[0]), data[1], [0; 5]),
         _ => _ = board.be_late_ms(u64::from(data[0]) * 250),
     }

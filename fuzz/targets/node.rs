@@ -5,7 +5,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use canopen_node::{
-    Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, NodeId, Settings,
+    Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, NodeId, Service, Settings,
     emergency::Fault, lss::StoreError,
 };
 use testkit::{
@@ -53,7 +53,7 @@ fn report(board: &mut NodeRig, kind: u8, [what, counter, ..]: [u8; 8]) {
         10 if !board.is_storing() => {}
         10 if what == 0 => _ = board.end_store(Err(StoreError::MediumAccess)),
         10 => _ = board.finish_store(),
-        11 => board.report(BusEvent::Acknowledged),
+        11 => _ = board.acknowledge(if what & 1 == 0 { Service::BootUp } else { Service::Emergency }),
         12 => board.report(match what % 8 {
             0 => BusEvent::Received,
             1 => BusEvent::Error,
@@ -87,10 +87,9 @@ fuzz_target!(|data: (u8, u8, Vec<[u8; 10]>)| {
         step(&mut board, data);
         for action in board.take_actions() {
             match action {
-                Action::Transmit(frame) => assert!(is_own(&frame, id), "{frame:?} of {id:?}"),
+                Action::Transmit(frame, _) => assert!(is_own(&frame, id), "{frame:?} of {id:?}"),
                 Action::SetNodeId(new) => id = new,
                 Action::Store(_) => assert!(may_store, "{data:02X?} asks for no store"),
-                Action::DropPdos => panic!("the node has no process data"),
                 Action::ResetDevice => return,
                 _ => {}
             }

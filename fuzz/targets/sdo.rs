@@ -20,19 +20,19 @@ fuzz_target!(|requests: Vec<[u8; 8]>| {
     // Nothing leads to a second frame of a block.
     board.is_acknowledged = false;
     let boot_up = board.take_actions();
-    assert!(matches!(boot_up[..], [Action::Transmit(frame)] if frame.cob_id() == 0x705));
+    assert!(matches!(boot_up[..], [Action::Transmit(frame, _)] if frame.cob_id() == 0x705));
     let (mut answers, mut stores) = (0, 0);
     for request in &requests {
         board.receive(&Frame::new(0x605, request).expect("eight bytes"));
         for action in board.take_actions() {
             match action {
-                Action::Transmit(answer) if answer.cob_id() == 0x585 => {
+                Action::Transmit(answer, _) if answer.cob_id() == 0x585 => {
                     assert_eq!(answer.data().len(), 8);
                     assert_ne!(request[0], ABORT, "an abort is answered");
                     answers += 1;
                 }
                 // A heartbeat, once its time has been written.
-                Action::Transmit(other) => assert_eq!(other.cob_id(), 0x705),
+                Action::Transmit(other, _) => assert_eq!(other.cob_id(), 0x705),
                 Action::Store(_) => stores += 1,
                 other => panic!("{other:?} by SDO"),
             }

@@ -243,6 +243,36 @@ fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
     assert_eq!(read(&mut rig, 0x1003, 0), 2, "too short, and too long");
 }
 
+/// An acknowledge that is lost would end all emergency messages: the next one waits for it.
+#[test]
+fn a_message_that_ends_while_another_frame_is_written_is_acknowledged() {
+    const PERIOD: Time = Time::from_ms(10);
+    let mut rig = node_1();
+    write(&mut rig, &["2B 17 10 00 0A 00"]);
+    rig.nmt("01 01");
+    // Messages about an RPDO that is too short, and about the next one, which is not.
+    let mut takes = Time::from_us(300);
+    for step in 0..64 {
+        let heartbeat = |rig: &ImageRig, from| {
+            let is_it = |(_, frame): &(Time, Frame)| frame.id == Id::Standard(0x701);
+            rig.requested(0, from).find(is_it).map(|(time, _)| time)
+        };
+        let from = rig.network.now();
+        rig.collect(PERIOD);
+        let before = heartbeat(&rig, from).expect("a heartbeat in each period");
+        // The message ends within the 8 us before the next heartbeat is written.
+        let end = before + PERIOD + PERIOD;
+        let begin = (end + Time::from_ns(125 * step)).saturating_sub(Time::from_us(8) + takes);
+        rig.network.run_until(begin);
+        rig.network.send(rig.master, data(0x201, &[]));
+        rig.collect(Time::from_ms(2));
+        let message = rig.sent_by_boards(begin).find(|sent| sent.frame.id == Id::Standard(0x081));
+        takes = message.expect("a message").end.saturating_sub(begin);
+        rig.network.send(rig.master, data(0x201, &[0]));
+        assert_eq!(of(0x081, &rig.collect(PERIOD)), ["081: 00 00 00 00 00 00 00 00"], "{step}");
+    }
+}
+
 /// The cycles in which the core is awake during 200 ms with a bus full of frames of these COB-IDs.
 fn busy_cycles(rig: &mut ImageRig, other: AdapterId, cob_ids: &[u16]) -> u64 {
     rig.collect(SAMPLE);
@@ -468,6 +498,8 @@ fn a_tpdo_follows_its_sync_within_20_us() {
 #[test]
 fn a_sync_and_its_four_tpdos_cost_few_cycles() {
     const ROUNDS: u64 = 200;
+    /// No divisor of the 10 ms between two looks at the inputs: a round has the same share of them whenever it begins.
+    const INTERVAL: Time = Time::from_us(1_037);
     let mut rig = node_1();
     // TPDOs 3 and 4 carry the echo and the temperature, 1 and 2 the button and the temperature.
     for (index, cob_id) in [(0x1802, 0x381), (0x1803, 0x481)] {
@@ -484,7 +516,7 @@ fn a_sync_and_its_four_tpdos_cost_few_cycles() {
             if has_sync {
                 rig.network.send(rig.master, data(0x080, &[]));
             }
-            rig.network.run_for(Time::from_ms(1));
+            rig.network.run_for(INTERVAL);
         }
         let sent = if has_sync { 4 * ROUNDS } else { 0 };
         assert_eq!(rig.requested(0, from).count() as u64, sent);

@@ -1,6 +1,6 @@
 //! Emergency messages (CiA 301, 7.2.7): the frames and times for each fault, and the error register 1001h.
 
-use canopen_node::{BitRate, BitRateSetting, BusEvent, emergency::Fault};
+use canopen_node::{BitRate, BitRateSetting, BusEvent, Service, emergency::Fault};
 use testkit::{
     flash::Operation,
     frames::{Frames, SILENCE},
@@ -92,7 +92,7 @@ fn without_an_acknowledge_one_emergency_waits_for_the_bus_however_many_faults() 
         assert_eq!(report(&mut board, Fault::ErrorPassive), SILENCE);
     }
     board.is_acknowledged = true;
-    assert_eq!(board.see(BusEvent::Acknowledged), [ERROR_PASSIVE, BUS_OFF_RECOVERED]);
+    assert_eq!(board.acknowledge(Service::Emergency), [ERROR_PASSIVE, BUS_OFF_RECOVERED]);
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn a_message_that_left_within_a_switch_is_not_sent_again() {
     board.is_acknowledged = false;
     assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
     board.lss("15 0A 00");
-    assert_eq!(board.see(BusEvent::Acknowledged), SILENCE, "it was on the bus");
+    assert_eq!(board.acknowledge(Service::Emergency), SILENCE, "it was on the bus");
     board.is_acknowledged = true;
     assert_eq!(board.pass_ms(20), SILENCE);
 }
@@ -196,7 +196,11 @@ fn a_message_that_reset_communication_has_dropped_follows_the_boot_up() {
     assert_eq!(report(&mut board, Fault::SettingsLost), [SETTINGS_LOST]);
     assert_eq!(board.nmt("82 40"), ["740: 00"]);
     board.is_acknowledged = true;
-    assert_eq!(board.see(BusEvent::Acknowledged), [SETTINGS_LOST]);
+    for other in [Service::Lss, Service::Sdo, Service::Emergency, Service::Heartbeat, Service::Tpdo]
+    {
+        assert_eq!(board.acknowledge(other), SILENCE, "{other:?} is not the boot-up");
+    }
+    assert_eq!(board.acknowledge(Service::BootUp), [SETTINGS_LOST]);
     assert_eq!(board.number(0x1003, 0), 1);
 }
 
@@ -316,7 +320,7 @@ fn the_error_history_has_the_messages_that_have_left_in_their_order() {
     board.pass_ms(10);
     assert_eq!(board.see(BusEvent::Overrun).0.len(), 1);
     assert_eq!(history(&mut board), [0x8110, 0x8120], "it waits for the bus");
-    board.see(BusEvent::Acknowledged);
+    board.acknowledge(Service::Emergency);
     assert_eq!(history(&mut board), [0x8110, 0x8110, 0x8120]);
 }
 

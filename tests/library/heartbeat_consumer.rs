@@ -146,3 +146,15 @@ fn reset_communication_ends_the_watch_and_its_error() {
     assert_eq!(board.nmt("82 40"), ["740: 00", NO_ERROR]);
     assert_eq!((board.number(0x1016, 1), board.number(0x1001, 0)), (0, 0));
 }
+
+#[test]
+fn a_lost_producer_is_reported_at_once_and_then_the_state_that_nobody_commanded() {
+    for behaviour in [0, 2] {
+        let mut board = watching();
+        set(&mut board, 0x1017, 0, 60_000, 2);
+        set(&mut board, 0x1029, 1, behaviour, 1);
+        receive(&mut board, "705: 05");
+        let state = if behaviour == 0 { "740: 7F" } else { "740: 04" };
+        assert_eq!(board.pass_ms(100), [NODE_5_LOST, state]);
+    }
+}

@@ -18,7 +18,7 @@ const COMMANDS: [&str; 5] = ["01 00", "80 00", "02 00", "82 00", "81 00"];
 /// The actions except heartbeats, and the number of heartbeats.
 fn split(actions: Vec<Action>) -> (Vec<Action>, usize) {
     let is_heartbeat = |action: &Action| {
-        matches!(action, Action::Transmit(frame)
+        matches!(action, Action::Transmit(frame, _)
             if frame.cob_id() & !0x7F == 0x700 && frame.data() != [0])
     };
     let (heartbeats, others): (Vec<_>, Vec<_>) = actions.into_iter().partition(is_heartbeat);

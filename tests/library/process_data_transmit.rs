@@ -1,6 +1,6 @@
 //! TPDOs (CiA 301, 7.2.2): the frames, and the times at which they are sent.
 
-use canopen_node::{Action, BusEvent, Frame, Instant};
+use canopen_node::{Action, BusEvent, Frame, Instant, Service, Services};
 use testkit::{
     flash::BoardFlash,
     frames::SILENCE,
@@ -56,30 +56,23 @@ fn a_guest_at_another_bit_rate_sends_no_pdos_until_it_is_home() {
 }
 
 #[test]
-fn the_end_of_operational_drops_the_pdos_that_wait() {
-    for end in ["80 40", "02 40", "80 00"] {
+fn the_end_of_operational_drops_what_names_it_or_is_forbidden() {
+    let pre_operational = Services::of(Service::Tpdo);
+    let stopped = Services::of_all(&[Service::Emergency, Service::Sdo]).and(pre_operational);
+    for (end, forbidden) in
+        [("80 40", pre_operational), ("02 40", stopped), ("80 00", pre_operational)]
+    {
         let mut board = operational();
         board.take_actions();
         board.nmt(end);
-        assert_eq!(board.take_actions(), [Action::DropPdos], "{end}");
+        assert_eq!(board.take_actions(), [Action::Drop(forbidden)], "{end}");
         board.nmt(end);
         assert_eq!(board.take_actions(), [], "they have been dropped");
     }
     let mut board = operational();
     board.take_actions();
     board.see(BusEvent::BusOff);
-    assert_eq!(board.take_actions(), [Action::DropPdos]);
-}
-
-#[test]
-fn the_frames_of_all_other_services_are_no_pdos() {
-    let board = operational();
-    for cob_id in [0x0C0, 0x5C0, 0x740, 0x7E4] {
-        assert!(!board.node.is_pdo(cob_id), "{cob_id:03X}");
-    }
-    for cob_id in [0x0C1, 0x1C0, 0x2C0, 0x57F, 0x580, 0x6DF, 0x700] {
-        assert!(board.node.is_pdo(cob_id), "{cob_id:03X}");
-    }
+    assert_eq!(board.take_actions(), [Action::Drop(pre_operational)]);
 }
 
 #[test]
@@ -89,9 +82,9 @@ fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
     board.pass_ms(19);
     let end = Instant::from_micros(board.now() as u32).plus_micros(1_000);
     assert_eq!(board.node.poll(end), Some(Action::ResumeTransmitting));
-    board.node.handle_bus_event(BusEvent::Acknowledged, end);
+    board.node.handle_sent(Services::ALL, end);
     let tpdo = Frame::new(0x1C0, &[0; 3]).expect("a frame");
-    assert_eq!(board.node.poll(end), Some(Action::Transmit(tpdo)));
+    assert_eq!(board.node.poll(end), Some(Action::Transmit(tpdo, Service::Tpdo)));
 }
 
 /// A board in NMT operational that has just sent TPDO 1, which has an inhibit time of 10 ms.
@@ -135,8 +128,7 @@ fn parameters_that_are_written_leave_the_inhibit_time() {
         for (sub_index, value, size) in writes {
             set(&mut board, 0x1800, *sub_index, *value, *size);
         }
-        let is_pdo =
-            |action: &Action| matches!(action, Action::Transmit(frame) if frame.cob_id() == 0x1C0);
+        let is_pdo = |action: &Action| matches!(action, Action::Transmit(frame, _) if frame.cob_id() == 0x1C0);
         assert!(!board.actions().any(|action| is_pdo(&action)), "{writes:X?}");
         assert_eq!(board.pass_us(5_999), SILENCE, "{writes:X?}");
         assert_eq!(board.pass_us(1), ["1C0: 01 00 00"], "{writes:X?}");

@@ -154,7 +154,7 @@ fn send(board: &mut Board, requests: &[&str]) -> Frames {
 fn give(board: &mut Board, outcome: Result<(), Abort>) -> Frames {
     let answer = download(board).kept.take().expect("it was kept");
     Frames(match board.node.answer(answer, outcome) {
-        Some(Action::Transmit(frame)) => vec![frame],
+        Some(Action::Transmit(frame, _)) => vec![frame],
         _ => Vec::new(),
     })
 }

@@ -4,8 +4,10 @@
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use canopen_node::{
-    Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives, Settings,
+    Application, BitRate, Count, Device, Frame, Instant, Node, NodeId, Numbers, Receives, Service,
+    Services, Settings,
     application::{NoApplication, Text},
+    emergency::Fault,
     indicator::BusState,
     lss::StoreError,
     objects,
@@ -32,8 +34,8 @@ struct Chip {
     alarm_at_us: u32,
     received: VecDeque<Received>,
     /// The frame that waits for the bus.
-    place: Option<Frame>,
-    has_sent: bool,
+    place: Option<(Frame, Service)>,
+    acknowledged: Services,
     /// Whether the others acknowledge at once.
     is_bus_free: bool,
     sent: Vec<Frame>,
@@ -53,16 +55,18 @@ struct Chip {
 struct Handle(Rc<RefCell<Chip>>);
 
 impl Chip {
-    fn take_frame(&mut self, frame: Frame) {
-        self.place = Some(frame);
+    fn take_frame(&mut self, frame: Frame, service: Service) {
+        self.place = Some((frame, service));
         if self.is_bus_free {
             self.complete();
         }
     }
 
     fn complete(&mut self) {
-        self.sent.extend(self.place.take());
-        self.has_sent = true;
+        if let Some((frame, service)) = self.place.take() {
+            self.sent.push(frame);
+            self.acknowledged = self.acknowledged.and(Services::of(service));
+        }
     }
 }
 
@@ -84,25 +88,25 @@ impl Controller for Handle {
         self.0.borrow_mut().received.pop_front()
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
         let mut chip = self.0.borrow_mut();
         let is_empty = chip.place.is_none();
         if is_empty {
-            chip.take_frame(*frame);
+            chip.take_frame(*frame, service);
         }
         is_empty
     }
 
-    fn take_sent(&mut self) -> bool {
-        std::mem::take(&mut self.0.borrow_mut().has_sent)
+    fn take_sent(&mut self) -> Services {
+        std::mem::replace(&mut self.0.borrow_mut().acknowledged, Services::NONE)
     }
 
     fn is_idle(&mut self) -> bool {
         self.0.borrow().place.is_none()
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
-        self.0.borrow_mut().place.take_if(|frame| are_dropped(frame.cob_id()));
+    fn drop_frames(&mut self, services: Services) {
+        self.0.borrow_mut().place.take_if(|(_, service)| services.has(*service));
     }
 
     fn take_error(&mut self) -> Option<BusError> {
@@ -174,7 +178,7 @@ impl<A: Application> Board<A> {
             alarm_at_us: 0,
             received: VecDeque::new(),
             place: None,
-            has_sent: false,
+            acknowledged: Services::NONE,
             is_bus_free: true,
             sent: Vec::new(),
             starts: Vec::new(),
@@ -288,7 +292,11 @@ fn heartbeats_go_on_whatever_waited_for_the_bus_when_pdos_were_dropped() {
 
         let mut board = operational("32");
         board.pass_ms(50);
-        assert_eq!(board.chip().place.map(|frame| frame.cob_id()), Some(0x185), "a timed TPDO");
+        assert_eq!(
+            board.chip().place.map(|(frame, _)| frame.cob_id()),
+            Some(0x185),
+            "a timed TPDO"
+        );
         check_heartbeats(board, end);
     }
 }
@@ -296,11 +304,13 @@ fn heartbeats_go_on_whatever_waited_for_the_bus_when_pdos_were_dropped() {
 /// Ends NMT operational on a bus that is free from then on.
 fn check_heartbeats(mut board: Board<Machine>, end: &str) {
     board.receive(&[end]);
-    assert_eq!(board.chip().place, None);
+    let waiting = board.chip().place.map(|(_, service)| service);
+    assert!(matches!(waiting, None | Some(Service::Heartbeat)), "{waiting:?}");
+    board.free_bus();
     board.chip().is_bus_free = true;
     board.pass_ms(1_000);
     let heartbeats = board.take_sent().texts();
-    assert!((9..=10).contains(&heartbeats.len()), "{end}: {heartbeats:?}");
+    assert!((9..=11).contains(&heartbeats.len()), "{end}: {heartbeats:?}");
 }
 
 #[test]
@@ -367,7 +377,7 @@ fn a_block_upload_does_not_go_on_after_a_halt_of_the_core() {
         assert!(board.take_sent().texts()[0].starts_with("585: C"));
         board.chip().is_bus_free = false;
         board.receive(&["605: A3 00 00 00 00 00 00 00"]);
-        assert_eq!(board.chip().place.map(|segment| segment.data()[0]), Some(1));
+        assert_eq!(board.chip().place.map(|(segment, _)| segment.data()[0]), Some(1));
         halt(&mut board, 2, handler);
         assert_eq!(board.take_sent(), SILENCE);
     }
@@ -503,22 +513,16 @@ fn filters_get_the_cob_ids_in_full_lists() {
 
 #[test]
 fn a_loss_of_the_settings_is_reported() {
-    // A record of an unknown kind, and one of another layout.
-    let of_kind = |kind| testkit::settings::record(1, kind, 5, 2);
-    let mut of_layout = of_kind(1);
-    of_layout[23] = 1;
-    let of_layout = testkit::settings::sealed(of_layout);
-    for (record, expected) in [(of_kind(2), Found::Damaged), (of_layout, Found::OtherLayout)] {
-        let flash = testkit::settings::flash_with(&[(0, 0, record)]);
-        let (mut log, found) = Storage::open_with_parameters(flash);
-        let mut board = Board::with_node_id();
-        let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);
-        assert_eq!(runner::restore(&mut node, &mut log, found), expected);
-        board.runner = Runner::new(node, Handle(board.chip.clone()), Handle(board.chip.clone()));
-        board.pass_ms(1);
-        let sent = board.take_sent().texts();
-        assert!(sent.iter().any(|text| text.starts_with("085: 10 63")), "{sent:?}");
-    }
+    // A record of an unknown kind.
+    let flash = testkit::settings::flash_with(&[(0, 0, testkit::settings::record(1, 2, 5, 2))]);
+    let (mut log, found) = Storage::open_with_parameters(flash);
+    let mut board = Board::with_node_id();
+    let mut node: Node = Node::new(device(ADDRESS).with_defaults(defaults(5)), None);
+    assert_eq!(runner::restore(&mut node, &mut log, found), Found::Damaged);
+    board.runner = Runner::new(node, Handle(board.chip.clone()), Handle(board.chip.clone()));
+    board.pass_ms(1);
+    let sent = board.take_sent().texts();
+    assert!(sent.iter().any(|text| text.starts_with("085: ")), "{sent:?}");
 }
 
 #[test]
@@ -723,7 +727,7 @@ fn a_controller_with_room_gets_only_what_is_more_urgent_than_the_queue() {
     board.receive(&["605: 40 00 10 00 00 00 00 00", "605: 40 18 10 01 00 00 00 00"]);
     let in_controller = |board: &Board<Machine>| {
         let frame = board.chip().place.take();
-        frame.map(|frame| frame.cob_id())
+        frame.map(|(frame, _)| frame.cob_id())
     };
     assert_eq!(in_controller(&board), Some(0x585));
     board.receive(&["04 01", "5A", "605: 40 18 10 02 00 00 00 00"]);
@@ -837,4 +841,136 @@ fn answers_that_a_program_holds_or_keeps_are_given_at_once() {
     let kept = board.runner.application(Loader::take_kept).expect("it has kept it");
     board.runner.answer(kept, Ok(()));
     assert_eq!(board.take_sent(), ["585: 20 00 00 00 00 00 00 00"]);
+}
+
+#[test]
+fn the_newest_value_of_a_tpdo_leaves_whatever_its_cob_id_and_an_lss_answer_before_it() {
+    let mut board = operational("00");
+    board.chip().is_bus_free = true;
+    board.receive(&["000: 80 05", "605: 23 00 18 01 85 01 00 80"]);
+    board.receive(&["605: 23 00 18 01 F0 00 00 00", "000: 01 05", "04 01"]);
+    board.pass_ms(1);
+    board.take_sent();
+    board.chip().is_bus_free = false;
+    for level in 1..=40 {
+        board.runner.application(|machine| machine.level = level);
+    }
+    board.receive(&["5A"]);
+    board.free_bus();
+    let sent = board.take_sent().texts();
+    assert_eq!(sent[0], "0F0: 00 01 00", "it was in the controller");
+    assert!(sent[1].starts_with("7E4: 5A"), "{sent:?}");
+    assert_eq!(sent[2..], ["0F0: 00 28 00"]);
+}
+
+#[test]
+fn a_tpdo_that_waited_when_the_core_was_halted_is_sent_with_the_value_of_now() {
+    let mut board = operational("00");
+    board.runner.application(|machine| machine.level = 7);
+    board.chip().now_us += 2_000_000;
+    board.chip().is_bus_free = true;
+    board.runner.handle_alarm();
+    board.pass_ms(100);
+    let sent = board.take_sent().texts();
+    assert!(sent.iter().any(|text| text == "185: 00 07 00"), "{sent:?}");
+}
+
+#[test]
+fn bus_off_that_stops_the_node_is_reported() {
+    let mut board = operational("00");
+    board.chip().is_bus_free = true;
+    board.receive(&["605: 2F 29 10 01 02 00 00 00"]);
+    board.take_sent();
+    board.chip().state = BusState::BusOff;
+    board.runner.handle_status();
+    board.chip().state = BusState::Good;
+    board.runner.handle_status();
+    board.pass_ms(2);
+    assert_eq!(board.take_sent(), ["705: 04", "085: 40 81 11 00 00 00 00 00"]);
+}
+
+#[test]
+fn a_heartbeat_of_another_state_does_not_leave_and_one_of_the_new_state_does() {
+    for (end, state) in [("000: 80 05", "705: 7F"), ("000: 02 05", "705: 04")] {
+        let mut board = operational("00");
+        board.pass_ms(100);
+        assert_eq!(board.chip().place.map(|(frame, _)| frame.cob_id()), Some(0x705));
+        board.receive(&[end]);
+        board.runner.handle_transmitted();
+        board.free_bus();
+        assert_eq!(board.take_sent(), [state]);
+    }
+}
+
+#[test]
+fn nothing_leaves_in_stopped_that_it_forbids() {
+    let mut board = operational("00");
+    board.receive(&["605: 40 00 10 00 00 00 00 00"]);
+    board.runner.report(0xFF00, 0, [0; 5]);
+    board.runner.application(|machine| machine.level = 7);
+    board.receive(&["000: 02 05"]);
+    board.free_bus();
+    board.chip().is_bus_free = true;
+    board.pass_ms(200);
+    assert_eq!(board.take_sent(), ["705: 04", "705: 04"]);
+    board.receive(&["000: 80 05"]);
+    board.pass_ms(1);
+    assert_eq!(board.take_sent(), ["085: 00 FF 01 00 00 00 00 00"]);
+}
+
+#[test]
+fn an_emergency_waits_until_the_boot_up_itself_was_acknowledged() {
+    let mut board = Board::new(device(ADDRESS).with_defaults(defaults(5)));
+    board.chip().is_bus_free = false;
+    board.pass_ms(1);
+    // Another place becomes free.
+    let boot_up = board.chip().place.take();
+    board.runner.node_mut().handle_fault(Fault::SettingsLost);
+    board.receive(&["605: 40 00 10 00 00 00 00 00", "04 01", "5E"]);
+    board.free_bus();
+    board.pass_ms(10);
+    let begins =
+        |sent: Frames| sent.texts().iter().map(|text| text[..7].into()).collect::<Vec<String>>();
+    assert_eq!(begins(board.take_sent()), ["585: 43", "7E4: 5E"]);
+    board.chip().place = boot_up;
+    board.free_bus();
+    assert_eq!(begins(board.take_sent()), ["705: 00", "085: 10"]);
+}
+
+/// Whoever empties the controller and the queue tells every service.
+#[test]
+fn what_a_halt_of_the_core_has_dropped_is_made_again_by_each_service_that_still_needs_it() {
+    type Make = fn(&mut Board<Machine>);
+    let cases: [(&str, Make, Option<&str>); 6] = [
+        ("boot-up", |board| board.receive(&["000: 82 05"]), Some("705: 00")),
+        (
+            "emergency",
+            |board| {
+                board.runner.report(0xFF00, 0, [0; 5]);
+            },
+            Some("085: 00 FF 01 00 00 00 00 00"),
+        ),
+        ("heartbeat", |board| board.pass_ms(100), Some("705: 05")),
+        (
+            "TPDO",
+            |board| board.runner.application(|machine| machine.level = 7),
+            Some("185: 00 07 00"),
+        ),
+        ("SDO", |board| board.receive(&["605: 40 00 10 00 00 00 00 00"]), None),
+        ("LSS", |board| board.receive(&["04 01", "5E"]), None),
+    ];
+    for (service, make, again) in cases {
+        let mut board = operational("00");
+        make(&mut board);
+        let lost = board.chip().place.map(|(frame, _)| frames::text(&frame)).expect(service);
+        board.chip().now_us += 2_000_000;
+        board.chip().is_bus_free = true;
+        board.runner.handle_alarm();
+        board.pass_ms(2);
+        let sent = board.take_sent().texts();
+        match again {
+            Some(again) => assert!(sent.iter().any(|text| text == again), "{service}: {sent:?}"),
+            None => assert!(!sent.contains(&lost), "{service}: the master no longer waits"),
+        }
+    }
 }

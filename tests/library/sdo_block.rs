@@ -1,7 +1,7 @@
 //! SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.15).
 
 use canopen_node::{
-    Application, BusEvent, Instant,
+    Application, BusEvent, Instant, Service,
     application::{Domain, Text},
     objects,
     sdo::Abort,
@@ -278,7 +278,7 @@ fn two_segments_wait_for_the_bus_and_no_more() {
     board.sdo("A4 00 23 01 7F");
     assert_eq!(board.sdo("A3").0.len(), 2);
     assert_eq!(board.pass_ms(100), SILENCE);
-    assert_eq!(board.see(BusEvent::Acknowledged), SILENCE, "it may be another frame's");
+    assert_eq!(board.acknowledge(Service::Heartbeat), SILENCE, "it is another frame's");
     let mut sent = 2;
     while sent < 127 {
         assert!(board.node.wants_to_send_more());

@@ -93,7 +93,7 @@ impl Run {
                     self.rescues += u32::from(rate != self.home);
                     self.is_guest = rate != self.home;
                 }
-                Action::Transmit(frame) if self.is_guest => {
+                Action::Transmit(frame, _) if self.is_guest => {
                     let is_asked = match frame.cob_id() {
                         0x740 => frame.data() == [0],
                         0x0C0 => frame.data().starts_with(&[0x10, 0xFF]),

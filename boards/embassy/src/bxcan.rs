@@ -2,7 +2,7 @@
 //! offer: error counters, the level of the bus, and to abort a frame or to change the bit rate without a wait.
 
 use canopen_node::{
-    BitRate, Frame, Numbers, Receives,
+    BitRate, Frame, Numbers, Receives, Service, Services,
     bit_rate::BitTiming,
     indicator::BusState,
     runner::{BusError, Controller, Mode, Received, Sample},
@@ -35,8 +35,8 @@ pub struct Bxcan {
     receiver: CanRx<'static>,
     /// The interrupts as the driver has enabled them.
     interrupts: Ier,
-    /// The COB-IDs in the mailboxes, but for aborted frames: the driver does not tell these from sent ones.
-    sending: [Option<u16>; 3],
+    /// The COB-IDs and services in the mailboxes, but for aborted frames: the driver does not tell these from sent ones.
+    sending: [Option<(u16, Service)>; 3],
     received: Option<Envelope>,
     error: Option<BusError>,
 }
@@ -107,32 +107,34 @@ impl Controller for Bxcan {
         }
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
         // Otherwise the driver takes a less urgent frame out of its mailbox.
         let is_full = self.sending.iter().all(Option::is_some);
-        if is_full || self.sending.iter().flatten().any(|cob_id| *cob_id <= frame.cob_id()) {
+        if is_full || self.sending.iter().flatten().any(|(cob_id, _)| *cob_id <= frame.cob_id()) {
             return false;
         }
         let Ok(copy) = CanFrame::new_standard(frame.cob_id(), frame.data()) else { return false };
         let Ok(status) = self.sender.try_write(&copy) else { return false };
-        self.sending[status.mailbox() as usize] = Some(frame.cob_id());
+        self.sending[status.mailbox() as usize] = Some((frame.cob_id(), service));
         true
     }
 
-    fn take_sent(&mut self) -> bool {
+    /// `send` writes no mailbox before its outcome is collected here.
+    fn take_sent(&mut self) -> Services {
         let is_empty = |mailbox| poll_once(self.sender.flush(mailbox)).is_ready();
         let mailboxes = MAILBOXES.into_iter().zip(&mut self.sending);
-        mailboxes.filter_map(|(mailbox, sending)| sending.take_if(|_| is_empty(mailbox))).count()
-            > 0
+        let sent =
+            mailboxes.filter_map(|(mailbox, sending)| sending.take_if(|_| is_empty(mailbox)));
+        sent.fold(Services::NONE, |services, (_, service)| services.and(Services::of(service)))
     }
 
     fn is_idle(&mut self) -> bool {
         self.sender.is_idle()
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+    fn drop_frames(&mut self, services: Services) {
         for (mailbox, sending) in self.sending.iter_mut().enumerate() {
-            if sending.take_if(|cob_id| are_dropped(*cob_id)).is_some() {
+            if sending.take_if(|(_, service)| services.has(*service)).is_some() {
                 CAN1.tsr().write(|w| w.set_abrq(mailbox, true));
             }
         }

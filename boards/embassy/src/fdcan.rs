@@ -5,7 +5,7 @@
 use core::{cell::Cell, future::poll_fn, task::Poll};
 
 use canopen_node::{
-    BitRate, Frame, Numbers, Receives,
+    BitRate, Frame, Numbers, Receives, Service, Services,
     bit_rate::BitTiming,
     indicator::BusState,
     runner::{BusError, Controller, Mode, Received, Sample},
@@ -57,8 +57,8 @@ pub struct Fdcan {
     receive: Peri<'static, Receive>,
     transmit: Peri<'static, Transmit>,
     driver: Option<Can<'static>>,
-    /// The COB-IDs in the transmit buffers.
-    sending: [Option<u16>; BUFFERS],
+    /// The COB-IDs and services in the transmit buffers.
+    sending: [Option<(u16, Services)>; BUFFERS],
     /// The error that the latest read of PSR has cleared there.
     error: Cell<Option<BusError>>,
 }
@@ -164,10 +164,10 @@ impl Controller for Fdcan {
         Some(Frame::received(&envelope.frame).into())
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
         // Otherwise the driver takes a more urgent frame out of its buffer.
         let is_full = self.sending.iter().all(Option::is_some);
-        if is_full || self.sending.iter().flatten().any(|cob_id| *cob_id <= frame.cob_id()) {
+        if is_full || self.sending.iter().flatten().any(|(cob_id, _)| *cob_id <= frame.cob_id()) {
             return false;
         }
         let Some(driver) = &mut self.driver else { return false };
@@ -175,29 +175,32 @@ impl Controller for Fdcan {
         let buffer = usize::from(REGISTERS.txfqs().read().tfqpi());
         let is_taken = poll_once(driver.write(&copy)).is_ready();
         if is_taken {
-            self.sending[buffer] = Some(frame.cob_id());
+            self.sending[buffer] = Some((frame.cob_id(), Services::of(service)));
         }
         is_taken
     }
 
-    fn take_sent(&mut self) -> bool {
+    /// `send` writes no buffer before its outcome is collected here.
+    fn take_sent(&mut self) -> Services {
         let (pending, sent) = (REGISTERS.txbrp().read(), REGISTERS.txbto().read());
-        let mut has_sent = false;
+        let mut services = Services::NONE;
         for (buffer, sending) in self.sending.iter_mut().enumerate() {
-            let is_finished = sending.take_if(|_| !pending.trp(buffer)).is_some();
-            has_sent |= is_finished && sent.to(buffer);
+            let finished = sending.take_if(|_| !pending.trp(buffer));
+            if let Some((_, service)) = finished.filter(|_| sent.to(buffer)) {
+                services = services.and(service);
+            }
         }
-        has_sent
+        services
     }
 
     fn is_idle(&mut self) -> bool {
         REGISTERS.txbrp().read().0 == 0
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+    fn drop_frames(&mut self, services: Services) {
         let mut aborted = Txbcr(0);
         for (buffer, sending) in self.sending.iter().enumerate() {
-            aborted.set_cr(buffer, sending.is_some_and(&are_dropped));
+            aborted.set_cr(buffer, sending.is_some_and(|(_, service)| service.has_any(services)));
         }
         REGISTERS.txbcr().write_value(aborted);
     }

@@ -2,7 +2,7 @@
 //! frame was sent, aborts, the kind of an error, and recovery from bus-off.
 
 use canopen_node::{
-    BitRate, Frame, Numbers, Receives,
+    BitRate, Frame, Numbers, Receives, Service, Services,
     indicator::BusState,
     runner::{self, BusError, Mode, Received, Sample},
 };
@@ -23,8 +23,8 @@ pub struct Controller {
     transmit: AnyPin<'static>,
     driver: Option<Twai<'static, Blocking>>,
     is_listening: bool,
-    /// The COB-ID of the frame in the only transmit buffer.
-    sending: Option<u16>,
+    /// The service of the frame in the only transmit buffer.
+    sending: Option<Services>,
 }
 
 impl Controller {
@@ -84,7 +84,7 @@ impl runner::Controller for Controller {
         }
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
         let converted = EspTwaiFrame::new(embedded_can::Frame::id(frame), frame.data());
         let is_taken = self.sending.is_none()
             && self
@@ -93,23 +93,24 @@ impl runner::Controller for Controller {
                 .zip(converted)
                 .is_some_and(|(driver, frame)| driver.transmit(&frame).is_ok());
         if is_taken {
-            self.sending = Some(frame.cob_id());
+            self.sending = Some(Services::of(service));
         }
         is_taken
     }
 
-    fn take_sent(&mut self) -> bool {
+    fn take_sent(&mut self) -> Services {
         let status = TWAI0::regs().status().read();
-        self.sending.take_if(|_| status.tx_buf_st().bit_is_set()).is_some()
-            && status.tx_complete().bit_is_set()
+        let finished = self.sending.take_if(|_| status.tx_buf_st().bit_is_set());
+        let sent = finished.filter(|_| status.tx_complete().bit_is_set());
+        sent.unwrap_or(Services::NONE)
     }
 
     fn is_idle(&mut self) -> bool {
         self.sending.is_none()
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
-        if self.sending.is_some_and(are_dropped) {
+    fn drop_frames(&mut self, services: Services) {
+        if self.sending.is_some_and(|service| service.has_any(services)) {
             TWAI0::regs().cmd().write(|w| w.abort_tx().set_bit());
         }
     }

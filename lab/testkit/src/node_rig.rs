@@ -3,7 +3,7 @@
 
 use canopen_node::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
-    Receives, Settings,
+    Receives, Service, Services, Settings,
     application::NoApplication,
     lss::{Address, StoreError},
     settings::{Found, Log, parameters::unpack},
@@ -196,6 +196,12 @@ impl<A: Application + Clone> NodeRig<A> {
         self.pass_us(0)
     }
 
+    /// Acknowledges a frame of this service; returns the frames that the node sends at once.
+    pub fn acknowledge(&mut self, service: Service) -> Frames {
+        self.node.handle_sent(Services::of(service), self.instant());
+        self.pass_us(0)
+    }
+
     /// The node-ID that the node reports; `None` in LSS waiting state, where it does not answer.
     pub fn inquired_node_id(&mut self) -> Option<u8> {
         self.lss("5E").0.first().map(|answer| answer.data()[1])
@@ -323,10 +329,10 @@ impl<A: Application + Clone> NodeRig<A> {
         self.timeline_from = self.now;
         let line = |(at, action): (u64, Action)| {
             let what = match action {
-                Action::Transmit(frame) => frames::text(&frame),
+                Action::Transmit(frame, _) => frames::text(&frame),
                 Action::SetNodeId(id) => format!("node-ID {:02X}", NodeId::to_lss(id)),
                 Action::SetReceives => "receives".into(),
-                Action::DropPdos => "drop PDOs".into(),
+                Action::Drop(_) => "drop".into(),
                 Action::StopTransmitting => "stop".into(),
                 Action::SetBitRate(rate) => format!("{} kbit/s", rate.kbit_per_s()),
                 Action::ResumeTransmitting => "resume".into(),
@@ -345,7 +351,7 @@ impl<A: Application + Clone> NodeRig<A> {
 
     fn sent_since(&self, index: usize) -> Frames {
         let frame = |(_, action): &(u64, Action)| match action {
-            Action::Transmit(frame) => Some(*frame),
+            Action::Transmit(frame, _) => Some(*frame),
             _ => None,
         };
         Frames(self.actions[index..].iter().filter_map(frame).collect())
@@ -372,10 +378,10 @@ impl<A: Application + Clone> NodeRig<A> {
         let Some(action) = action else { return };
         self.actions.push((self.now, action));
         match action {
-            Action::Transmit(_) => {
+            Action::Transmit(_, service) => {
                 assert!(self.may_transmit, "nothing is sent in a silent period");
                 if self.is_acknowledged {
-                    self.node.handle_bus_event(BusEvent::Acknowledged, self.instant());
+                    self.node.handle_sent(Services::of(service), self.instant());
                 }
             }
             Action::SetNodeId(id) => {
@@ -383,7 +389,7 @@ impl<A: Application + Clone> NodeRig<A> {
                 self.receives = self.node.receives();
             }
             Action::SetReceives => self.receives = self.node.receives(),
-            Action::DropPdos => {}
+            Action::Drop(_) => {}
             Action::StopTransmitting => self.may_transmit = false,
             Action::SetBitRate(rate) => {
                 let is_silent = !self.may_transmit;

@@ -415,7 +415,7 @@ impl<A: Application + Clone> SlaveBus<A> {
             .take_actions()
             .into_iter()
             .filter_map(|action| match action {
-                canopen_node::Action::Transmit(frame) => match (frame.cob_id(), frame.data()) {
+                canopen_node::Action::Transmit(frame, _) => match (frame.cob_id(), frame.data()) {
                     (0x701..=0x77F, [0]) => Frame::new(frame.cob_id(), &[boot_up]),
                     (RESPONSE_COB_ID, data) => Frame::new(RESPONSE_COB_ID, &data[..answer_bytes]),
                     _ => Some(frame),

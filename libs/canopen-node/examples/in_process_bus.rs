@@ -3,7 +3,8 @@
 use std::{sync::mpsc, thread, time::Duration};
 
 use canopen_node::{
-    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Settings, lss::Address,
+    Action, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Services, Settings,
+    lss::Address,
 };
 
 fn main() {
@@ -38,9 +39,9 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
     loop {
         while let Some(action) = first.take().or_else(|| node.poll(now())) {
             match action {
-                Action::Transmit(frame) => {
+                Action::Transmit(frame, service) => {
                     transmitted.send(frame).unwrap();
-                    node.handle_bus_event(BusEvent::Acknowledged, now());
+                    node.handle_sent(Services::of(service), now());
                     if node.wants_to_send_more() {
                         node.handle_bus_event(BusEvent::NonePending, now());
                     }

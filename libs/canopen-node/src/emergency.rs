@@ -137,6 +137,17 @@ impl Message {
     }
 }
 
+/// The messages that the NMT state allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Allowed {
+    /// None.
+    None,
+    /// Those that tell why an error of communication has stopped the node.
+    Cause,
+    /// All.
+    All,
+}
+
 /// A set of places, a bit for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Places(u32);
@@ -144,6 +155,8 @@ struct Places(u32);
 impl Places {
     const NONE: Self = Self(0);
     const ALL: Self = Self(u32::MAX);
+    /// The causes of the error behaviour 1029h: a heartbeat that is missing, and bus-off.
+    const CAUSES: Self = Self((1 << PROCESS_DATA.end) - 1).and(Self::of(BUS_OFF_RECOVERED));
 
     const fn of(at: usize) -> Self {
         Self(1_u32.wrapping_shl(at as u32))
@@ -431,7 +444,7 @@ impl Emergency {
     }
 
     /// Records that the pending frames were dropped: a message that was not acknowledged is sent again.
-    pub const fn note_dropped(&mut self) {
+    pub const fn frames_dropped(&mut self) {
         self.unsent = self.unsent.and(self.in_flight);
         (self.in_flight, self.entry) = (Places::NONE, 0);
     }
@@ -452,8 +465,14 @@ impl Emergency {
     ///
     /// Error code 0 is sent when no error is left. CiA 301 allows it at the end of each error, but some masters take it
     /// for the end of all. A guest reports only that it is one.
-    pub fn next(&mut self, node: NodeId, is_guest: bool, now: Instant) -> Option<Frame> {
-        if self.awaits_acknowledge() {
+    pub fn next(
+        &mut self,
+        node: NodeId,
+        is_guest: bool,
+        allowed: Allowed,
+        now: Instant,
+    ) -> Option<Frame> {
+        if self.awaits_acknowledge() || allowed == Allowed::None {
             return None;
         }
         let Some(cob_id) = self.configuration.cob_id(node) else {
@@ -465,7 +484,11 @@ impl Emergency {
         if self.inhibited_until.is_some() || self.error_counters.receive >= ERROR_PASSIVE_LIMIT {
             return None;
         }
-        let among = if is_guest { Places::of(AWAY_FROM_HOME_RATE) } else { Places::ALL };
+        let among = match (allowed, is_guest) {
+            (_, true) => Places::of(AWAY_FROM_HOME_RATE),
+            (Allowed::Cause, _) => Places::CAUSES,
+            _ => Places::ALL,
+        };
         let Message { code, register, information } = self.take(among)?;
         let inhibit_time = self.configuration.inhibit_time;
         self.inhibited_until =

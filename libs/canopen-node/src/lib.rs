@@ -16,7 +16,7 @@
 //! assert_eq!(node.poll(now), None, "no boot-up without a node-ID");
 //!
 //! let is_anyone_unconfigured = Frame::new(0x7E5, &[0x4C, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-//! let Some(Action::Transmit(answer)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
+//! let Some(Action::Transmit(answer, _)) = node.handle_frame(&is_anyone_unconfigured, now) else { panic!() };
 //! assert_eq!((answer.cob_id(), answer.data()), (0x7E4, &[0x50, 0, 0, 0, 0, 0, 0, 0][..]));
 //! ```
 //!
@@ -70,7 +70,7 @@ pub use lss_slave::{
     BitRate, BitRateSetting, BitRates, BusEvent, Deadline, Frame, Instant, InvalidNodeId, NodeId,
     Settings, bit_rate, lss, settings,
 };
-pub use node::{Action, Confirmation, Node, Program, Receives};
+pub use node::{Action, Confirmation, Node, Program, Receives, Service, Services};
 pub use numbers::Numbers;
 #[doc(hidden)]
 pub use pastey;

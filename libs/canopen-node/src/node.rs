@@ -8,6 +8,7 @@ mod bit_rate;
 mod communication;
 mod messages;
 mod objects;
+mod outgoing;
 mod periodic;
 mod process;
 mod product;
@@ -35,6 +36,7 @@ use agenda::{Agenda, Task, Tasks};
 use areas::{Area, Change, Download};
 use communication::Communication;
 use objects::NodeObjects;
+pub use outgoing::{Service, Services};
 use periodic::Periodic;
 use product::Product;
 pub use program::{Confirmation, Program};
@@ -47,8 +49,8 @@ use verification::Verification;
 /// These calls drive it:
 /// - [`restore`](Self::restore) with each stored parameter, before all others, if it has an application;
 /// - [`handle_frame`](Self::handle_frame) with every frame that the node [`receives`](Self::receives);
-/// - [`handle_bus_event`](Self::handle_bus_event) when a frame of the node was acknowledged, and with the controller's other
-///   events;
+/// - [`handle_sent`](Self::handle_sent) when frames of the node were acknowledged, and
+///   [`handle_bus_event`](Self::handle_bus_event) with the controller's other events;
 /// - [`handle_stored`](Self::handle_stored) with the outcome of an [`Action::Store`];
 /// - [`handle_fault`](Self::handle_fault) with a fault of the board;
 /// - [`poll`](Self::poll) at the start, after each of the others, and at [`poll_at`](Self::poll_at), repeatedly until
@@ -200,7 +202,7 @@ impl<A: Application> Node<A> {
         // A deadline may be more than half a turn of the clock ago.
         self.agenda.add(Tasks::ALL);
         self.end_sdo_transfer();
-        self.note_dropped();
+        self.frames_dropped();
     }
 
     /// The LSS state machine of the node.
@@ -251,18 +253,6 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// Whether a frame of this COB-ID that the node has sent is a PDO.
-    pub fn is_pdo(&self, cob_id: u16) -> bool {
-        let is_service = |node: NodeId| {
-            let services = [sdo::RESPONSE_COB_ID, nmt::ERROR_CONTROL_COB_ID];
-            services.into_iter().any(|base| cob_id == base + u16::from(node.get()))
-                || self.emergency.configuration.cob_id(node) == Some(cob_id)
-        };
-        A::Numbers::TPDOS > 0
-            && cob_id != lss::RESPONSE_COB_ID
-            && !self.node_id().is_some_and(is_service)
-    }
-
     /// Handles a received frame and returns the answer to a request of LSS or SDO, if there is one at once.
     /// [`poll`](Self::poll) returns all other actions.
     #[must_use = "an action that is not carried out is lost"]
@@ -273,10 +263,12 @@ impl<A: Application> Node<A> {
             self.agenda.add(Tasks::of(&[Task::BitRate]));
         }
         match self.slave.handle_frame(frame, now) {
-            Some(lss_slave::Action::Transmit(answer)) => return Some(Action::Transmit(answer)),
+            Some(lss_slave::Action::Transmit(answer)) => {
+                return Some(Action::Transmit(answer, Service::Lss));
+            }
             Some(action) => self.react(action),
             None if frame.cob_id() != lss::REQUEST_COB_ID && is_served => {
-                return self.handle_other(frame, now).map(Action::Transmit);
+                return self.handle_other(frame, now).map(Action::sdo);
             }
             // A request of LSS may have begun a switch.
             None if !self.slave.bit_rate().is_settled() => {
@@ -328,16 +320,20 @@ impl<A: Application> Node<A> {
 
     /// Handles an event of the controller at `now`. A repeated event does no harm, but each [`BusEvent::Overrun`] and
     /// [`BusEvent::BusOffRecovered`] is counted.
-    #[inline(always)] // Most acknowledges make no difference.
     pub fn handle_bus_event(&mut self, event: BusEvent, now: Instant) {
-        let is_settled = self.slave.bit_rate().is_settled();
-        if event != BusEvent::Acknowledged || !is_settled || self.awaits_acknowledge() {
-            self.handle_other_event(event, now);
+        self.handle_event(event, now);
+        self.inform_bit_rate(event, now);
+    }
+
+    /// Handles that frames of these services were sent and acknowledged since the last call.
+    #[inline(always)] // Most acknowledges make no difference.
+    pub fn handle_sent(&mut self, sent: Services, now: Instant) {
+        if sent.has_any(Self::AWAITED) || !self.slave.bit_rate().is_settled() {
+            self.note_acknowledge(sent, now);
         }
     }
 
-    fn handle_other_event(&mut self, event: BusEvent, now: Instant) {
-        self.handle_event(event, now);
+    fn inform_bit_rate(&mut self, event: BusEvent, now: Instant) {
         if self.slave.bit_rate().is_settled() {
             return;
         }
@@ -484,14 +480,15 @@ impl<A: Application> Node<A> {
             Task::State => {
                 // In NMT stopped there are neither SDO transfers nor emergency messages.
                 self.agenda.add(Tasks::SENDING);
-                self.inform()
+                self.inform();
+                self.drop_stale()
             }
             Task::Command => self.nmt.take_command().and_then(|command| self.carry_out(command)),
             Task::Producers => {
                 self.watch_producers(now);
                 None
             }
-            Task::Sdo => self.answer_sdo(now).map(Action::Transmit),
+            Task::Sdo => self.answer_sdo(now).map(Action::sdo),
             Task::Store => self.answer_or_store(),
             Task::Messages => self.next_message(now),
             Task::Pdos => self.next_pdo(now),
@@ -501,7 +498,7 @@ impl<A: Application> Node<A> {
                 let deadline = self.deadline(task, now);
                 self.agenda.end(task, deadline);
             }
-            Some(Action::Transmit(_)) => self.slave.note_sent(now),
+            Some(Action::Transmit(..)) => self.slave.note_sent(now),
             Some(_) => {}
         }
         action
@@ -575,14 +572,14 @@ impl<A: Application> Node<A> {
                 Requester::Lss => {
                     self.storing.lss_requests = self.storing.lss_requests.saturating_sub(1);
                     let answer = Response::StoreConfiguration(outcome);
-                    return Some(Action::Transmit(answer.to_frame()));
+                    return Some(Action::Transmit(answer.to_frame(), Service::Lss));
                 }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {
                     let Download { index, sub_index, confirmation } = download;
                     let failed = |error| Message::store_failed(index, sub_index, error);
                     let answer = outcome.map_or_else(failed, |()| confirmation);
-                    return self.sdo_frame(answer).map(Action::Transmit);
+                    return self.sdo_frame(answer).map(Action::sdo);
                 }
                 Requester::Sdo(_) | Requester::Nobody(_) => {}
             }

@@ -200,21 +200,20 @@ impl<N: Numbers> Pdos<N> {
             .active(base(Direction::Receive, at), Some(node?))
     }
 
-    /// Follows the NMT state: PDOs live in NMT operational. Returns whether this state has ended.
-    pub fn follow(&mut self, state: nmt::State, node: Option<NodeId>) -> bool {
+    /// Follows the NMT state: PDOs live in NMT operational.
+    pub fn follow(&mut self, state: nmt::State, node: Option<NodeId>) {
         let is_running = state == nmt::State::Operational;
         let was_running = mem::replace(&mut self.is_running, is_running);
         if !Self::IS_USED || is_running == was_running {
-            return false;
+            return;
         }
         self.stop();
         (0..N::TPDOS).for_each(|at| self.start_tpdo(at, node));
         (0..N::RPDOS).for_each(|at| self.start_rpdo(at, node));
-        was_running
     }
 
-    /// Makes all event-driven TPDOs due, since frames may have been dropped.
-    pub fn note_resumed(&mut self) {
+    /// Makes all event-driven TPDOs due, since the board has dropped frames.
+    pub fn frames_dropped(&mut self) {
         self.tpdos.as_mut().iter_mut().for_each(Transmission::restart);
         self.due = self.event_driven;
     }

@@ -16,11 +16,12 @@ pub use controller::{BusError, Controller, Mode, Received, Sample};
 pub use poll::Wake;
 
 use crate::{
-    Action, Application, BitRate, BusEvent, Confirmation, Frame, Instant, Node, Numbers, Settings,
+    Action, Application, BitRate, BusEvent, Confirmation, Frame, Instant, Node, Service, Services,
+    Settings,
     application::NoApplication,
     emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
-    lss::{self, State, StoreError},
+    lss::{State, StoreError},
     sdo::Abort,
     settings::{Found, Log},
 };
@@ -213,12 +214,10 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     /// Handles frames that were sent or dropped.
     pub fn handle_transmitted(&mut self) {
         let now = self.event_time();
-        let is_sent = self.bus.can.take_sent();
+        let sent = self.bus.can.take_sent();
         // The others are less urgent, and wait until it is sent.
-        self.queue.pop_if(|frame| self.bus.can.send(frame));
-        if is_sent {
-            self.node.handle_bus_event(BusEvent::Acknowledged, now);
-        }
+        self.queue.pop_if(|(frame, service)| self.bus.can.send(frame, *service));
+        self.node.handle_sent(sent, now);
         if self.node.is_due(now) || self.node.wants_to_send_more() {
             self.finish();
         }
@@ -406,7 +405,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     #[inline(always)] // Most actions are frames.
     fn act(&mut self, action: Action) {
         match action {
-            Action::Transmit(frame) => self.transmit(frame),
+            Action::Transmit(frame, service) => self.transmit(frame, service),
             action => self.carry_out(action),
         }
     }
@@ -414,20 +413,17 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     #[inline(never)]
     fn carry_out(&mut self, action: Action) {
         match action {
-            Action::Transmit(_) => {}
+            Action::Transmit(..) => {}
             Action::SetNodeId(_id) => {
                 log!(info, "node-ID {=u8} (255: none)", crate::NodeId::to_lss(_id));
-                self.drop_frames(|_, cob_id| cob_id != lss::RESPONSE_COB_ID);
+                self.drop_frames(Services::BUT_LSS);
                 self.set_receives();
             }
             Action::SetReceives => self.set_receives(),
-            Action::DropPdos if A::Numbers::TPDOS > 0 => {
-                self.drop_frames(|node, cob_id| node.is_pdo(cob_id));
-            }
-            Action::DropPdos => {}
+            Action::Drop(services) => self.drop_frames(services),
             Action::StopTransmitting => {
                 self.may_transmit = false;
-                self.drop_frames(|_, _| true);
+                self.drop_frames(Services::ALL);
             }
             Action::SetBitRate(rate) => {
                 log!(info, "CAN: at {=u16} kbit/s", rate.kbit_per_s());
@@ -452,21 +448,21 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
 
     /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
     #[inline(always)] // The way of an answer.
-    fn transmit(&mut self, frame: Frame) {
+    fn transmit(&mut self, frame: Frame, service: Service) {
         if !self.may_transmit {
             return;
         }
-        if !(self.queue.is_empty() && self.bus.can.send(&frame)) {
-            self.transmit_beside_others(frame);
+        if !(self.queue.is_empty() && self.bus.can.send(&frame, service)) {
+            self.transmit_beside_others(frame, service);
         }
     }
 
     /// Sends a frame while others are pending.
-    fn transmit_beside_others(&mut self, frame: Frame) {
-        if self.queue.is_behind(&frame) && self.bus.can.send(&frame) {
+    fn transmit_beside_others(&mut self, frame: Frame, service: Service) {
+        if self.queue.is_behind(&frame) && self.bus.can.send(&frame, service) {
             return;
         }
-        if !self.queue.push(frame) {
+        if !self.queue.push(frame, service) {
             log!(
                 warn,
                 "CAN: the transmit queue is full, frame {=u16:#x} was dropped",
@@ -475,11 +471,10 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         }
     }
 
-    /// Drops the pending frames with these COB-IDs; a frame on the bus now continues.
-    fn drop_frames(&mut self, are_dropped: impl Fn(&Node<A>, u16) -> bool) {
-        let are_dropped = |cob_id| are_dropped(&self.node, cob_id);
-        self.queue.drop_frames(are_dropped);
-        self.bus.can.drop_frames(are_dropped);
+    /// Drops the pending frames of these services; a frame on the bus now continues.
+    fn drop_frames(&mut self, services: Services) {
+        self.queue.drop_frames(services);
+        self.bus.can.drop_frames(services);
     }
 
     /// Drops the pending frames and runs the controller in this way.

@@ -315,7 +315,7 @@ impl Board {
     fn carry_out(&mut self, action: Option<Action>) {
         let (Some(action), Some(running)) = (action, &mut self.running) else { return };
         match action {
-            Action::Transmit(frame) => {
+            Action::Transmit(frame, _) => {
                 let is_allowed = running.may_transmit && !running.is_silent;
                 if !is_allowed {
                     let is_mutated = self.mutation == Some(Mutation::StaysSilent);
@@ -354,7 +354,7 @@ impl Board {
                 self.power_on();
             }
             Action::SetNodeId(_) => running.messages.clear(),
-            Action::SetReceives | Action::DropPdos => {}
+            Action::SetReceives | Action::Drop(_) => {}
         }
     }
 }

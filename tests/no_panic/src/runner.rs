@@ -3,7 +3,7 @@
 use core::hint::black_box;
 
 use canopen_node::{
-    BitRate, Frame, Instant, Node, Numbers, Receives,
+    BitRate, Frame, Instant, Node, Numbers, Receives, Service, Services,
     indicator::BusState,
     lss::StoreError,
     runner::{BusError, Controller, Mode, Received, Runner, Sample, System},
@@ -49,21 +49,21 @@ impl Controller for Board {
         any(None)
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
-        black_box(frame);
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
+        black_box((frame, service));
         any(true)
     }
 
-    fn take_sent(&mut self) -> bool {
-        any(true)
+    fn take_sent(&mut self) -> Services {
+        any(Services::NONE)
     }
 
     fn is_idle(&mut self) -> bool {
         any(true)
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
-        black_box(are_dropped(any(0)));
+    fn drop_frames(&mut self, services: Services) {
+        black_box(services);
     }
 
     fn take_error(&mut self) -> Option<BusError> {

@@ -2,7 +2,7 @@
 
 use canopen_node::{
     Action, Application, BitRate, BitRates, BusEvent, Device, Frame, Instant, Node, Receives,
-    Settings, lss::Address,
+    Services, Settings, lss::Address,
 };
 
 use crate::{DEVICE_NAME, IDENTITY, NOW, Register, received_data, received_identifier, transmit};
@@ -66,10 +66,10 @@ impl<A: Application> Own<A> {
     #[inline(always)]
     fn act(&mut self, action: Action) {
         match action {
-            Action::Transmit(frame) => {
+            Action::Transmit(frame, service) => {
                 transmit(frame.cob_id(), frame.data().len(), frame.padded_data());
                 // The firmware reports it in the transmit interrupt.
-                self.node.handle_bus_event(BusEvent::Acknowledged, Instant::from_micros(0));
+                self.node.handle_sent(Services::of(service), Instant::from_micros(0));
             }
             Action::SetNodeId(_) | Action::SetReceives => self.receives = self.node.receives(),
             Action::Store(_) => self.node.handle_stored(Ok(())),

@@ -13,14 +13,14 @@
 use core::{iter, mem};
 
 use canopen_node::{
-    BitRate, Frame, Numbers, Receives,
+    BitRate, Frame, Numbers, Receives, Service, Services,
     indicator::BusState,
     lss,
     runner::{self, BusError, Mode, Received, Sample},
 };
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::{
-    pac::can1::{RegisterBlock, TX, rfr},
+    pac::can1::{RegisterBlock, rfr},
     rcc::Rcc,
 };
 
@@ -43,9 +43,14 @@ const RELEASE_READS: u32 = 16;
 
 /// The COB-IDs of a filter bank in list mode (RM0090, 32.7.4).
 const IDS_PER_BANK: usize = 4;
-/// The bits of CAN_TSR for the empty mailboxes: the first, and all three.
+/// The bits of CAN_TSR for empty mailboxes: the first, and all three.
 const EMPTY: u32 = 26;
 const ALL_EMPTY: u32 = 0b111 << EMPTY;
+/// Those for completed requests: of the first mailbox, and of all three.
+const FIRST_COMPLETED: u32 = 1 << 0;
+const COMPLETED: u32 = FIRST_COMPLETED | FIRST_COMPLETED << 8 | FIRST_COMPLETED << 16;
+/// That for a frame of the first mailbox that was acknowledged.
+const FIRST_ACKNOWLEDGED: u32 = 1 << 1;
 
 /// The CAN controller, as used by the node.
 pub struct Controller<C: Peripheral> {
@@ -54,6 +59,10 @@ pub struct Controller<C: Peripheral> {
     registers: C,
     filters: C::Filters,
     transmit_pin: TransmitPin,
+    /// The service of the latest frame in each mailbox.
+    mailboxes: [Services; 3],
+    /// Those whose frames were acknowledged, until somebody asks.
+    sent: Services,
     is_listening: bool,
     /// Whether all frames are received, since the bit rate is not proven.
     receives_all: bool,
@@ -75,6 +84,8 @@ impl<C: Peripheral> Controller<C> {
             registers,
             filters,
             transmit_pin: pins.transmit,
+            mailboxes: [Services::NONE; 3],
+            sent: Services::NONE,
             is_listening: false,
             receives_all: true,
         }
@@ -90,6 +101,7 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     fn start<N: Numbers>(&mut self, mode: Mode, bit_rate: BitRate, receives: &Receives<N>) -> bool {
         self.is_listening = mode == Mode::Listen;
         self.receives_all = receives.all;
+        (self.mailboxes, self.sent) = ([Services::NONE; 3], Services::NONE);
         // A controller that is reset while it has the pin may leave it dominant.
         self.transmit_pin.rest();
         if !enter_initialization(&self.registers) {
@@ -158,23 +170,19 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     }
 
     #[inline(always)] // The way of an answer: 20 cycles.
-    fn send(&mut self, frame: &Frame) -> bool {
-        if self.is_idle() {
-            write_mailbox(self.registers.tx(0), frame);
+    fn send(&mut self, frame: &Frame, service: Service) -> bool {
+        let status = self.registers.tsr().read().bits();
+        if status & (ALL_EMPTY | COMPLETED) == ALL_EMPTY {
+            self.write_mailbox(0, frame, service);
             return true;
         }
-        put_beside_others(&self.registers, frame)
+        self.send_beside_others(frame, service, status)
     }
 
-    fn take_sent(&mut self) -> bool {
+    fn take_sent(&mut self) -> Services {
         Task::TRANSMITTED.answer();
-        const COMPLETED: u32 = 1 << 0 | 1 << 8 | 1 << 16;
-        const ANY_SENT: u32 = 1 << 1 | 1 << 9 | 1 << 17;
-        let status = self.registers.tsr().read().bits();
-        // Only the flags read above: a later completion interrupts again.
-        // SAFETY: zeros have no effect in this register.
-        self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
-        status & ANY_SENT != 0
+        self.collect_sent(self.registers.tsr().read().bits());
+        mem::replace(&mut self.sent, Services::NONE)
     }
 
     fn supervise(&mut self) {
@@ -185,12 +193,12 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
         self.registers.tsr().read().bits() & ALL_EMPTY == ALL_EMPTY
     }
 
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+    fn drop_frames(&mut self, services: Services) {
         const ABORT: u32 = 1 << 7;
         let mut aborts = 0;
-        for mailbox in 0..3 {
-            if are_dropped(self.registers.tx(mailbox).tir().read().stid().bits()) {
-                aborts |= ABORT << (8 * mailbox);
+        for (at, mailbox) in self.mailboxes.iter().enumerate() {
+            if mailbox.has_any(services) {
+                aborts |= ABORT << (8 * at);
             }
         }
         // SAFETY: zeros, and the abort of an empty mailbox, have no effect in this register.
@@ -246,6 +254,65 @@ impl<C: Peripheral> runner::Controller for Controller<C> {
     }
 }
 
+impl<C: Peripheral> Controller<C> {
+    /// Notes the services of the frames that were acknowledged by this state of CAN_TSR. A request of transmission clears
+    /// the flags of its mailbox (RM0090, 32.9.2), so that this comes before each that finds a flag set.
+    fn collect_sent(&mut self, status: u32) {
+        for (at, mailbox) in self.mailboxes.iter().enumerate() {
+            let is_acknowledged = status & FIRST_ACKNOWLEDGED << (8 * at) != 0;
+            self.sent = self.sent.and(if is_acknowledged { *mailbox } else { Services::NONE });
+        }
+        // Only the flags read above: a later completion interrupts again.
+        // SAFETY: zeros have no effect in this register.
+        self.registers.tsr().write(|w| unsafe { w.bits(status & COMPLETED) });
+    }
+
+    /// Passes a frame to the controller if it has two empty mailboxes, or one and only less urgent frames; returns whether it
+    /// does. Of two frames with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
+    ///
+    /// The mailboxes are those of `status`, of CAN_TSR: one that becomes empty later has an acknowledge to collect.
+    #[inline(never)] // A settled node is mostly idle.
+    fn send_beside_others(&mut self, frame: &Frame, service: Service, status: u32) -> bool {
+        if status & COMPLETED != 0 {
+            self.collect_sent(status);
+        }
+        let pending = |at| self.registers.tx(at).tir().read().stid().bits();
+        let is_before = |at, other| frame.cob_id() < pending(at) && frame.cob_id() < pending(other);
+        // A bit for each empty mailbox, the first in bit 0. A match is quicker than a loop: docs/size-and-speed.md.
+        let (mailbox, may_be_sent) = match status >> EMPTY & 0b111 {
+            0b111 => (0, true),
+            0b110 => (1, frame.cob_id() != pending(0)),
+            0b101 => (0, frame.cob_id() != pending(1)),
+            0b011 => (0, frame.cob_id() != pending(2)),
+            0b100 => (2, is_before(0, 1)),
+            0b010 => (1, is_before(0, 2)),
+            0b001 => (0, is_before(1, 2)),
+            _ => (0, false),
+        };
+        if may_be_sent {
+            self.write_mailbox(mailbox, frame, service);
+        }
+        may_be_sent
+    }
+
+    /// Requests the transmission of a frame by an empty mailbox.
+    #[inline(always)] // The way of an answer.
+    fn write_mailbox(&mut self, at: usize, frame: &Frame, service: Service) {
+        if let Some(mailbox) = self.mailboxes.get_mut(at) {
+            *mailbox = Services::of(service);
+        }
+        let mailbox = self.registers.tx(at);
+        let data = u64::from_le_bytes(frame.padded_data());
+        // SAFETY: a `Frame` has at most eight bytes of data and an identifier of 11 bits; data may be anything.
+        unsafe {
+            mailbox.tdtr().write(|w| w.dlc().bits(frame.data().len() as u8));
+            mailbox.tdlr().write(|w| w.bits(data as u32));
+            mailbox.tdhr().write(|w| w.bits((data >> 32) as u32));
+            mailbox.tir().write(|w| w.stid().bits(frame.cob_id()).txrq().set_bit());
+        }
+    }
+}
+
 /// Resets the controller, repeatedly if necessary; returns whether it enters initialisation mode.
 fn enter_initialization<C: Peripheral>(can: &C) -> bool {
     let is_there = (0..RESETS).any(|_| {
@@ -296,38 +363,4 @@ fn await_release(can: &RegisterBlock) -> rfr::R {
         status = fifo.read();
     }
     status
-}
-
-/// Passes a frame to the controller if it has two empty mailboxes, or one and only less urgent frames; returns whether it
-/// does. Of two frames with one COB-ID the controller might not send the older one first (RM0090, 32.7.1).
-fn put_beside_others(can: &RegisterBlock, frame: &Frame) -> bool {
-    let pending = |at| can.tx(at).tir().read().stid().bits();
-    let is_before = |at, other| frame.cob_id() < pending(at) && frame.cob_id() < pending(other);
-    // A bit for each empty mailbox, the first in bit 0. A match is quicker than a loop: docs/size-and-speed.md.
-    let (place, may_be_sent) = match can.tsr().read().bits() >> EMPTY & 0b111 {
-        0b111 => (0, true),
-        0b110 => (1, frame.cob_id() != pending(0)),
-        0b101 => (0, frame.cob_id() != pending(1)),
-        0b011 => (0, frame.cob_id() != pending(2)),
-        0b100 => (2, is_before(0, 1)),
-        0b010 => (1, is_before(0, 2)),
-        0b001 => (0, is_before(1, 2)),
-        _ => (0, false),
-    };
-    if may_be_sent {
-        write_mailbox(can.tx(place), frame);
-    }
-    may_be_sent
-}
-
-/// Requests the transmission of a frame by an empty mailbox.
-fn write_mailbox(mailbox: &TX, frame: &Frame) {
-    let data = u64::from_le_bytes(frame.padded_data());
-    // SAFETY: a `Frame` has at most eight bytes of data and an identifier of 11 bits; data may be anything.
-    unsafe {
-        mailbox.tdtr().write(|w| w.dlc().bits(frame.data().len() as u8));
-        mailbox.tdlr().write(|w| w.bits(data as u32));
-        mailbox.tdhr().write(|w| w.bits((data >> 32) as u32));
-        mailbox.tir().write(|w| w.stid().bits(frame.cob_id()).txrq().set_bit());
-    }
 }

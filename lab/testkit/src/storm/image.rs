@@ -214,7 +214,7 @@ impl<A: Stormed> ImageStorm<A> {
             self.settle_before(&actions);
             self.follow_switch(frame);
         } else {
-            let drops = |action: &Action| matches!(action, Action::SetNodeId(_) | Action::DropPdos);
+            let drops = |action: &Action| matches!(action, Action::SetNodeId(_) | Action::Drop(_));
             if actions.iter().any(drops) {
                 // Frames that have not been sent by then are never sent.
                 self.settle_before(&actions);
@@ -240,7 +240,7 @@ impl<A: Stormed> ImageStorm<A> {
     fn take_actions(&mut self) -> Vec<Action> {
         let actions = self.model.take_actions();
         self.expected.extend(actions.iter().filter_map(|action| match action {
-            Action::Transmit(frame) => compared(frame),
+            Action::Transmit(frame, _) => compared(frame),
             _ => None,
         }));
         if actions.iter().any(is_boot_up) {
@@ -259,7 +259,7 @@ impl<A: Stormed> ImageStorm<A> {
     /// Completes everything before the frame that made the model do `actions`.
     fn settle_before(&mut self, actions: &[Action]) {
         let own = actions.iter().filter(|action| match action {
-            Action::Transmit(frame) => compared(frame).is_some(),
+            Action::Transmit(frame, _) => compared(frame).is_some(),
             _ => false,
         });
         let later = self.expected.split_off(self.expected.len() - own.count());
@@ -414,10 +414,10 @@ fn compared(frame: &canopen_node::Frame) -> Option<canopen_node::Frame> {
 }
 
 fn is_sdo_answer(action: &&Action) -> bool {
-    matches!(action, Action::Transmit(frame) if frame.cob_id() & !0x7F == 0x580)
+    matches!(action, Action::Transmit(frame, _) if frame.cob_id() & !0x7F == 0x580)
 }
 
 fn is_boot_up(action: &Action) -> bool {
-    matches!(action, Action::Transmit(frame)
+    matches!(action, Action::Transmit(frame, _)
         if frame.cob_id() & !0x7F == nmt::ERROR_CONTROL_COB_ID && frame.data() == [0])
 }

@@ -1,7 +1,9 @@
 //! The NMT slave (CiA 301): the NMT state and the commands that change it, boot-up, heartbeat and error behaviour.
 
+use core::mem;
+
 use super::{Command, ErrorBehaviour, State, error_control, producer::Producer};
-use crate::{Frame, Instant, NodeId};
+use crate::{Frame, Instant, NodeId, Service, Services, emergency::Allowed};
 
 /// The NMT state of the node, and the messages that report it.
 #[derive(Clone, Debug)]
@@ -12,6 +14,10 @@ pub(crate) struct NmtSlave {
     heartbeat: Producer,
     /// 1029h sub-index 1.
     error_behaviour: ErrorBehaviour,
+    /// That has stopped the node.
+    is_stopped_by_error: bool,
+    /// The services whose pending frames a change of the state has made stale.
+    stale: Services,
     /// A command that has not been executed; it waits for the end of a bit rate switch.
     command: Option<Command>,
 }
@@ -22,8 +28,8 @@ enum BootUp {
     /// It is sent as soon as there is a node-ID and frames may be sent.
     Due,
     Sent,
-    /// A frame of the node was acknowledged since, so the boot-up was too.
-    Acknowledged,
+    /// It has left, or the others know the node without it.
+    Over,
 }
 
 impl NmtSlave {
@@ -34,6 +40,8 @@ impl NmtSlave {
             boot_up: BootUp::Due,
             heartbeat: Producer::new(heartbeat_ms),
             error_behaviour,
+            is_stopped_by_error: false,
+            stale: Services::NONE,
             command: None,
         }
     }
@@ -42,6 +50,8 @@ impl NmtSlave {
     pub const fn reset_communication(&mut self) {
         self.state = State::Initialisation;
         self.boot_up = BootUp::Due;
+        self.stale = Services::NONE;
+        self.heartbeat.is_extra_due = false;
     }
 
     /// Sets the parameters with which it starts: the producer heartbeat time and the error behaviour.
@@ -65,9 +75,19 @@ impl NmtSlave {
         matches!(self.state, State::PreOperational | State::Operational)
     }
 
-    /// Whether emergency messages may be sent: they must not overtake a boot-up that waits for the bus.
-    pub const fn allows_emergencies(&self) -> bool {
-        matches!(self.boot_up, BootUp::Acknowledged) && !matches!(self.state, State::Stopped)
+    /// The emergency messages that may be sent: none before the boot-up has left.
+    pub const fn emergencies(&self) -> Allowed {
+        match (self.boot_up, self.state) {
+            (BootUp::Due | BootUp::Sent, _) => Allowed::None,
+            (BootUp::Over, State::Stopped) if self.is_stopped_by_error => Allowed::Cause,
+            (BootUp::Over, State::Stopped) => Allowed::None,
+            (BootUp::Over, _) => Allowed::All,
+        }
+    }
+
+    /// Returns, once, the services whose pending frames name another state, or are forbidden by the new one.
+    pub const fn take_stale(&mut self) -> Services {
+        mem::replace(&mut self.stale, Services::NONE)
     }
 
     /// Accepts a command. The latest of several waiting commands wins, but a reset takes precedence, and reset node
@@ -88,46 +108,55 @@ impl NmtSlave {
         self.command.take()
     }
 
-    /// Enters a state; does nothing in initialisation.
-    pub const fn enter(&mut self, state: State) {
-        if !matches!(self.state, State::Initialisation) {
-            self.state = state;
+    /// Enters a state, as a master commands it; does nothing in initialisation.
+    pub fn enter(&mut self, state: State) {
+        let was_stopped_by_error = mem::take(&mut self.is_stopped_by_error);
+        if self.state == State::Initialisation || self.state == state && !was_stopped_by_error {
+            return;
         }
+        self.state = state;
+        let forbidden: &[Service] = match state {
+            State::Stopped => &[Service::Tpdo, Service::Sdo, Service::Emergency],
+            State::Operational => &[],
+            _ => &[Service::Tpdo],
+        };
+        self.stale = Services::of_all(forbidden).and(Services::of(Service::Heartbeat));
     }
 
     /// Reacts to a communication error as the error behaviour demands.
     pub fn handle_communication_error(&mut self) {
-        match self.error_behaviour {
-            ErrorBehaviour::EnterPreOperational if self.state == State::Operational => {
-                self.enter(State::PreOperational);
-            }
-            ErrorBehaviour::EnterStopped => self.enter(State::Stopped),
-            ErrorBehaviour::EnterPreOperational | ErrorBehaviour::KeepState => {}
-        }
+        let state = match (self.error_behaviour, self.state) {
+            (_, State::Initialisation | State::Stopped) => return,
+            (ErrorBehaviour::EnterPreOperational, State::Operational) => State::PreOperational,
+            (ErrorBehaviour::EnterStopped, _) => State::Stopped,
+            _ => return,
+        };
+        self.enter(state);
+        self.is_stopped_by_error = state == State::Stopped;
+        // Nobody has commanded it.
+        self.request_heartbeat();
     }
 
-    /// Whether the boot-up was sent but not acknowledged.
-    pub const fn awaits_acknowledge(&self) -> bool {
-        matches!(self.boot_up, BootUp::Sent)
-    }
-
-    /// Records that a frame of the node was acknowledged.
+    /// Records that the boot-up was acknowledged.
     pub const fn note_acknowledge(&mut self) {
         if let BootUp::Sent = self.boot_up {
-            self.boot_up = BootUp::Acknowledged;
+            self.boot_up = BootUp::Over;
         }
     }
 
-    /// Records that the pending frames were dropped; a boot-up among them is due again. The NMT state stays: a master
-    /// that is on the bus by now is served.
-    pub const fn note_dropped(&mut self) {
-        if let (BootUp::Sent, State::PreOperational) = (self.boot_up, self.state) {
-            self.boot_up = BootUp::Due;
+    /// Records that the pending frames were dropped; a boot-up among them is due again, unless a master has commanded the
+    /// node since. The NMT state stays: a master that is on the bus by now is served.
+    pub const fn frames_dropped(&mut self) {
+        if let BootUp::Sent = self.boot_up {
+            self.boot_up = match self.state {
+                State::PreOperational => BootUp::Due,
+                _ => BootUp::Over,
+            };
         }
     }
 
-    /// Schedules one heartbeat in addition to the regular ones, since frames may have been dropped.
-    pub const fn note_resumed(&mut self) {
+    /// Makes one heartbeat due in addition to the regular ones.
+    pub const fn request_heartbeat(&mut self) {
         self.heartbeat.is_extra_due = true;
     }
 
@@ -136,17 +165,14 @@ impl NmtSlave {
         self.heartbeat.due = now;
     }
 
-    /// Returns the boot-up of `node`, if it is due.
-    pub fn next_boot_up(&mut self, node: NodeId, now: Instant) -> Option<Frame> {
-        if !self.is_boot_up_due() {
-            return None;
-        }
+    /// Returns the boot-up of `node`, which is due.
+    pub fn next_boot_up(&mut self, node: NodeId, now: Instant) -> Frame {
         self.boot_up = BootUp::Sent;
         if self.state == State::Initialisation {
             self.state = State::PreOperational;
         }
         self.heartbeat.follow_boot_up(now);
-        Some(error_control(node, State::Initialisation))
+        error_control(node, State::Initialisation)
     }
 
     /// The time since when a heartbeat is due, if one is. The boot-up precedes it.
@@ -207,37 +233,38 @@ mod tests {
     fn booted(heartbeat_ms: u16) -> NmtSlave {
         let mut slave = NmtSlave::new(heartbeat_ms, ErrorBehaviour::DEFAULT);
         let boot_up = slave.next_boot_up(node(), NOW);
-        assert_eq!(boot_up, Frame::new(0x705, &[0]));
+        assert_eq!(Some(boot_up), Frame::new(0x705, &[0]));
         slave
     }
 
     #[test]
     fn a_boot_up_is_sent_once() {
         assert_eq!(NmtSlave::new(0, ErrorBehaviour::DEFAULT).state(), State::Initialisation);
-        let mut slave = booted(0);
+        let slave = booted(0);
         assert_eq!(slave.state(), State::PreOperational);
-        assert_eq!(slave.next_boot_up(node(), NOW), None);
+        assert!(!slave.is_boot_up_due());
     }
 
     #[test]
     fn a_boot_up_that_was_dropped_is_due_again_until_it_is_acknowledged() {
         let mut slave = booted(0);
-        slave.note_dropped();
+        slave.frames_dropped();
         assert_eq!(slave.state(), State::PreOperational);
-        assert!(slave.next_boot_up(node(), NOW).is_some());
+        assert!(slave.is_boot_up_due());
+        slave.next_boot_up(node(), NOW);
         slave.note_acknowledge();
-        slave.note_dropped();
+        slave.frames_dropped();
         assert_eq!(slave.state(), State::PreOperational);
     }
 
     #[test]
     fn emergencies_wait_for_the_acknowledge_of_the_boot_up() {
         let mut slave = booted(0);
-        assert!(!slave.allows_emergencies());
+        assert_eq!(slave.emergencies(), Allowed::None);
         slave.note_acknowledge();
-        assert!(slave.allows_emergencies());
+        assert_eq!(slave.emergencies(), Allowed::All);
         slave.enter(State::Stopped);
-        assert!(!slave.allows_emergencies());
+        assert_eq!(slave.emergencies(), Allowed::None);
     }
 
     #[test]

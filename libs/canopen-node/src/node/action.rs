@@ -1,5 +1,6 @@
 //! The actions that a node returns and the board carries out.
 
+use super::outgoing::{Service, Services};
 use crate::{BitRate, Frame, NodeId, Settings};
 
 /// An action for the board to carry out.
@@ -7,19 +8,20 @@ use crate::{BitRate, Frame, NodeId, Settings};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Send this frame. Frames of equal COB-ID must leave in the order of their actions. A PDO may replace an older one
-    /// of its COB-ID that has not left.
-    Transmit(Frame),
+    /// Send this frame, and report its service to [`handle_sent`](crate::Node::handle_sent) when it was acknowledged. Frames
+    /// of equal COB-ID must leave in the order of their actions. A TPDO may replace an older one of its COB-ID that has
+    /// not left.
+    Transmit(Frame, Service),
     /// Receive the COB-IDs that a node with this node-ID [`receives`](crate::Node::receives). Drop all pending frames except
-    /// those of COB-ID 7E4h: they carry the previous COB-IDs. A frame that is on the bus now may finish; later frames
+    /// those of LSS: they carry the previous COB-IDs. A frame that is on the bus now may finish; later frames
     /// of the node leave after it.
     SetNodeId(Option<NodeId>),
     /// Receive the frames that the node [`receives`](crate::Node::receives): a master has changed a COB-ID of process
     /// data, or the bit rate is proven.
     SetReceives,
-    /// Drop the pending PDOs, those frames whose COB-ID [`is_pdo`](crate::Node::is_pdo): the node has left NMT operational. A
-    /// frame that is on the bus now may finish.
-    DropPdos,
+    /// Drop the pending frames of these services: they name another NMT state, or the new one forbids them. A frame that is
+    /// on the bus now may finish.
+    Drop(Services),
     /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
     StopTransmitting,
     /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary, with the frames
@@ -37,4 +39,11 @@ pub enum Action {
     Store(Settings),
     /// Reset the device as after a power cut; the node restarts with the persistent settings.
     ResetDevice,
+}
+
+impl Action {
+    /// Sends a frame of the SDO server.
+    pub(super) const fn sdo(frame: Frame) -> Self {
+        Self::Transmit(frame, Service::Sdo)
+    }
 }

@@ -9,12 +9,11 @@ impl<A: Application> Node<A> {
         let was_switching = self.slave.bit_rate().is_switching();
         let action = self.slave.poll(now);
         self.follow_bit_rate();
-        // The NMT state is known.
-        let _ = self.inform();
+        self.inform();
         let is_switching = self.slave.bit_rate().is_switching();
         if was_switching && !is_switching {
             // By now the frame has left that was on the bus when the others were dropped.
-            self.note_dropped();
+            self.frames_dropped();
             self.nmt.restart_heartbeat(now);
             self.product.communication.restart(now);
         }
@@ -46,8 +45,7 @@ impl<A: Application> Node<A> {
                 Action::Listen(rate)
             }
             lss_slave::Action::ResumeTransmitting => {
-                self.nmt.note_resumed();
-                self.product.communication.pdos.note_resumed();
+                self.nmt.request_heartbeat();
                 Action::ResumeTransmitting
             }
             lss_slave::Action::FilterFrames => Action::SetReceives,
@@ -74,6 +72,6 @@ impl<A: Application> Node<A> {
     /// Ends what the dropped frames belong to.
     fn drop_frames(&mut self) {
         self.end_sdo_transfer();
-        self.note_dropped();
+        self.frames_dropped();
     }
 }

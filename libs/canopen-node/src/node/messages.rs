@@ -1,6 +1,6 @@
 //! NMT, and the messages that the node sends by itself (boot-up, emergency messages and heartbeat), as parts of the node.
 
-use super::{Action, Node, Task, Tasks, periodic::Sender};
+use super::{Action, Node, Service, Services, Task, Tasks};
 use crate::{
     Application, BusEvent, Frame, Instant,
     emergency::{ErrorCounters, Fault},
@@ -31,17 +31,42 @@ impl<A: Application> Node<A> {
         self.emergency.configure(communication.emergency());
         communication.reset();
         self.storing.verification.reset();
-        self.note_dropped();
+        self.frames_dropped();
         self.end_sdo();
         self.agenda.add(Tasks::ALL);
         Action::SetNodeId(self.node_id())
     }
 
-    /// Records that the board has dropped the pending frames.
-    pub(super) fn note_dropped(&mut self) {
-        self.emergency.note_dropped();
-        self.nmt.note_dropped();
-        self.periodic.note_dropped();
+    /// The services for which an acknowledge makes a difference.
+    pub(super) const AWAITED: Services = Services::of_all(&[Service::BootUp, Service::Emergency]);
+
+    /// Tells every service that the board has dropped the pending frames.
+    pub(super) fn frames_dropped(&mut self) {
+        self.emergency.frames_dropped();
+        self.nmt.frames_dropped();
+        self.product.communication.pdos.frames_dropped();
+        self.end_periodic(Services::ALL);
+    }
+
+    /// Has the board drop what names another NMT state, or what the present one forbids.
+    pub(super) fn drop_stale(&mut self) -> Option<Action> {
+        let mut stale = self.nmt.take_stale();
+        if stale.has(Service::Emergency) {
+            self.emergency.frames_dropped();
+        }
+        if !self.end_periodic(stale) {
+            stale = stale.without(Services::of(Service::Heartbeat));
+        }
+        (!stale.is_empty()).then_some(Action::Drop(stale))
+    }
+
+    /// Ends the wait for a frame of these services; returns whether it is a heartbeat, which is then due again.
+    fn end_periodic(&mut self, dropped: Services) -> bool {
+        let is_heartbeat = self.periodic.frames_dropped(dropped) == Some(Service::Heartbeat);
+        if is_heartbeat {
+            self.nmt.request_heartbeat();
+        }
+        is_heartbeat
     }
 
     /// Locks or releases LSS after a possible change of the NMT state.
@@ -51,8 +76,20 @@ impl<A: Application> Node<A> {
         self.slave.lss_mut().set_locked(self.product.device.lss_lock && is_operational);
     }
 
-    pub(super) fn awaits_acknowledge(&self) -> bool {
-        self.nmt.awaits_acknowledge() || self.emergency.awaits_acknowledge()
+    /// Passes an acknowledge to its services, and to the bit rate.
+    #[inline(never)]
+    pub(super) fn note_acknowledge(&mut self, sent: Services, now: Instant) {
+        if sent.has(Service::BootUp) {
+            self.nmt.note_acknowledge();
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
+        if sent.has(Service::Emergency) {
+            self.emergency.note_acknowledge();
+            self.agenda.add(Tasks::of(&[Task::Messages]));
+        }
+        if !sent.is_empty() {
+            self.inform_bit_rate(BusEvent::Acknowledged, now);
+        }
     }
 
     /// Handles an event for all but the bit rate.
@@ -66,7 +103,7 @@ impl<A: Application> Node<A> {
             }
             BusEvent::NonePending => {
                 self.sdo.note_sent();
-                if self.periodic.note_none_pending(now) == Some(Sender::Heartbeat) {
+                if self.periodic.note_none_pending(now) == Some(Service::Heartbeat) {
                     self.nmt.skip_heartbeats(now);
                 }
                 &[Task::Sdo, Task::Messages, Task::Pdos]
@@ -77,11 +114,6 @@ impl<A: Application> Node<A> {
             }
             BusEvent::BusOffRecovered => {
                 self.emergency.report_fault(Fault::BusOffRecovered);
-                &[Task::Messages]
-            }
-            BusEvent::Acknowledged => {
-                self.nmt.note_acknowledge();
-                self.emergency.note_acknowledge();
                 &[Task::Messages]
             }
             BusEvent::BusOff => {
@@ -99,15 +131,15 @@ impl<A: Application> Node<A> {
     pub(super) fn next_message(&mut self, now: Instant) -> Option<Action> {
         self.emergency.end_inhibit_time(now);
         let node = self.node_id().filter(|_| self.slave.bit_rate().may_report())?;
-        if let Some(boot_up) = self.nmt.next_boot_up(node, now) {
+        if self.nmt.is_boot_up_due() {
+            let boot_up = self.nmt.next_boot_up(node, now);
             self.agenda.add(Tasks::of(&[Task::State, Task::Sdo]));
-            return Some(Action::Transmit(boot_up));
+            return Some(Action::Transmit(boot_up, Service::BootUp));
         }
         let is_guest = self.slave.bit_rate().is_guest();
-        if self.nmt.allows_emergencies()
-            && let Some(emergency) = self.emergency.next(node, is_guest, now)
-        {
-            return Some(Action::Transmit(emergency));
+        let allowed = self.nmt.emergencies();
+        if let Some(emergency) = self.emergency.next(node, is_guest, allowed, now) {
+            return Some(Action::Transmit(emergency, Service::Emergency));
         }
         if is_guest {
             return None;
@@ -118,13 +150,13 @@ impl<A: Application> Node<A> {
             return None;
         }
         let heartbeat = self.nmt.next_heartbeat(node, now);
-        self.note_periodic(Sender::Heartbeat, &heartbeat, now);
-        Some(Action::Transmit(heartbeat))
+        self.note_periodic(Service::Heartbeat, &heartbeat, now);
+        Some(Action::Transmit(heartbeat, Service::Heartbeat))
     }
 
     /// Records a frame of a periodic service, for which the others wait.
-    pub(super) fn note_periodic(&mut self, sender: Sender, frame: &Frame, now: Instant) {
-        self.periodic.note_sent(sender, frame.longest_micros(self.bit_rate()), now);
+    pub(super) fn note_periodic(&mut self, service: Service, frame: &Frame, now: Instant) {
+        self.periodic.note_sent(service, frame.longest_micros(self.bit_rate()), now);
         self.agenda.add(Tasks::of(&[Task::Messages, Task::Pdos]));
     }
 }

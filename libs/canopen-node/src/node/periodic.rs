@@ -1,6 +1,7 @@
 //! The limit of the node's periodic services, the heartbeat and the event timers of TPDOs: one frame of them waits at a
 //! time, and half of the bus is left to others.
 
+use super::{Service, Services};
 use crate::Instant;
 
 /// The place that the periodic services share. Times that are too short for the bus would otherwise keep LSS off it,
@@ -10,7 +11,7 @@ pub(super) enum Periodic {
     Free,
     /// A frame waits for the bus, or is on it. It was sent to the board at this time and takes at most `micros`.
     Waiting {
-        sender: Sender,
+        service: Service,
         since: Instant,
         micros: u32,
     },
@@ -21,17 +22,10 @@ pub(super) enum Periodic {
     },
 }
 
-/// The service that a frame belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Sender {
-    Heartbeat,
-    Tpdo,
-}
-
 impl Periodic {
     /// Records a frame that takes at most `micros`.
-    pub const fn note_sent(&mut self, sender: Sender, micros: u32, now: Instant) {
-        *self = Self::Waiting { sender, since: now, micros };
+    pub const fn note_sent(&mut self, service: Service, micros: u32, now: Instant) {
+        *self = Self::Waiting { service, since: now, micros };
     }
 
     /// Whether a frame waits.
@@ -40,19 +34,25 @@ impl Periodic {
     }
 
     /// Records that no frame of the node waits for the bus; returns whose frame has left.
-    pub const fn note_none_pending(&mut self, now: Instant) -> Option<Sender> {
-        let Self::Waiting { sender, since, micros } = *self else {
+    pub const fn note_none_pending(&mut self, now: Instant) -> Option<Service> {
+        let Self::Waiting { service, since, micros } = *self else {
             return None;
         };
         // The board may have taken less time than the longest frame.
         let until = since.plus_micros(micros).later(now).plus_micros(micros);
         *self = Self::Resting { until, micros };
-        Some(sender)
+        Some(service)
     }
 
-    /// Records that the board has dropped all frames.
-    pub const fn note_dropped(&mut self) {
-        *self = Self::Free;
+    /// Records that the board has dropped the frames of these services; returns whose frame was waiting.
+    pub const fn frames_dropped(&mut self, services: Services) -> Option<Service> {
+        match *self {
+            Self::Waiting { service, .. } if services.has(service) => {
+                *self = Self::Free;
+                Some(service)
+            }
+            _ => None,
+        }
     }
 
     /// Whether a service may send at `now`.

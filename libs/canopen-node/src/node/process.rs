@@ -1,7 +1,7 @@
 //! Process data, heartbeat consumer and errors of the application, as parts of the node.
 
-use super::{Action, Node, Task, Tasks, communication::Communication, periodic::Sender};
-use crate::{Application, Frame, Instant, Numbers, application::Event};
+use super::{Action, Node, Service, Task, Tasks, communication::Communication};
+use crate::{Application, Frame, Instant, application::Event};
 
 impl<A: Application> Node<A> {
     /// Whether the node has PDOs or a heartbeat consumer.
@@ -30,12 +30,11 @@ impl<A: Application> Node<A> {
     }
 
     /// Informs the application and process data of a new NMT state and bit rate.
-    pub(super) fn inform(&mut self) -> Option<Action> {
+    pub(super) fn inform(&mut self) {
         let (state, rate, node) = (self.nmt_state(), self.bit_rate(), self.node_id());
-        let has_left_operational = self.product.inform(state, rate, node);
+        self.product.inform(state, rate, node);
         self.agenda.add(Tasks::of(&[Task::Producers]));
         self.note_values();
-        (has_left_operational && A::Numbers::TPDOS > 0).then_some(Action::DropPdos)
     }
 
     /// Reports producers whose heartbeat is missing and RPDOs that are late, and ends the errors of process data that are
@@ -77,8 +76,8 @@ impl<A: Application> Node<A> {
         let (frame, is_timed) =
             product.communication.pdos.next_frame(&mut product.application, may_be_timed, now)?;
         if is_timed {
-            self.note_periodic(Sender::Tpdo, &frame, now);
+            self.note_periodic(Service::Tpdo, &frame, now);
         }
-        Some(Action::Transmit(frame))
+        Some(Action::Transmit(frame, Service::Tpdo))
     }
 }

@@ -24,19 +24,16 @@ impl<A: Application> Product<A> {
         }
     }
 
-    /// Informs the application and process data of the NMT state and the bit rate, if they are new. Returns whether PDOs
-    /// must no longer be sent.
-    pub fn inform(&mut self, state: nmt::State, rate: BitRate, node: Option<NodeId>) -> bool {
+    /// Informs the application and process data of the NMT state and the bit rate, if they are new.
+    pub fn inform(&mut self, state: nmt::State, rate: BitRate, node: Option<NodeId>) {
         let (known_state, known_rate) = self.known;
         self.known = (state, rate);
         if rate != known_rate {
             self.application.handle(Event::BitRate(rate));
         }
-        if state == known_state {
-            return false;
+        if state != known_state {
+            self.communication.pdos.follow(state, node);
+            self.application.handle(Event::Nmt(state));
         }
-        let has_left_operational = self.communication.pdos.follow(state, node);
-        self.application.handle(Event::Nmt(state));
-        has_left_operational
     }
 }

@@ -191,6 +191,6 @@ impl<A: Application> Node<A> {
             Ok(()) => message,
             Err(code) => Message::refusal(index, sub_index, code),
         };
-        self.sdo_frame(answer).map(Action::Transmit)
+        self.sdo_frame(answer).map(Action::sdo)
     }
 }

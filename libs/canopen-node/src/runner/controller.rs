@@ -1,6 +1,6 @@
 //! The CAN controller, as a port offers it.
 
-use crate::{BitRate, BusEvent, Frame, Numbers, Receives, indicator::BusState};
+use crate::{BitRate, BusEvent, Frame, Numbers, Receives, Service, Services, indicator::BusState};
 
 /// A CAN controller. No call may wait for the bus.
 pub trait Controller {
@@ -18,13 +18,14 @@ pub trait Controller {
     /// The oldest received frame, or a loss of frames.
     fn receive(&mut self) -> Option<Received>;
 
-    /// Passes `frame` to the controller and returns whether it takes it. It must refuse a frame that would wait behind
+    /// Passes `frame` of this service to the controller and returns whether it takes it. It must refuse a frame that would wait behind
     /// a less urgent one, or that might overtake one of the same COB-ID: the frame is offered again when another was
     /// sent. A controller with a single place refuses every frame until that is empty.
-    fn send(&mut self, frame: &Frame) -> bool;
+    fn send(&mut self, frame: &Frame, service: Service) -> bool;
 
-    /// Whether a frame was sent and acknowledged since the last call. A dropped one does not count.
-    fn take_sent(&mut self) -> bool;
+    /// The services whose frames were sent and acknowledged since the last call, each once. Dropped frames do not count. A
+    /// controller that forgets the outcome of a frame when it gets the next one collects it in [`send`](Self::send).
+    fn take_sent(&mut self) -> Services;
 
     /// Puts right, a few times a second, what other code on the chip may have changed.
     fn supervise(&mut self) {}
@@ -32,8 +33,8 @@ pub trait Controller {
     /// Whether it has no frame to send.
     fn is_idle(&mut self) -> bool;
 
-    /// Drops the frames to send with these COB-IDs; one on the bus now continues. It need not wait for that.
-    fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool);
+    /// Drops the frames of these services; one on the bus now continues. It need not wait for that.
+    fn drop_frames(&mut self, services: Services);
 
     /// The latest error since the last call.
     fn take_error(&mut self) -> Option<BusError>;

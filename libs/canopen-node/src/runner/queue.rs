@@ -2,7 +2,7 @@
 
 use core::cell::Cell;
 
-use crate::Frame;
+use crate::{Frame, Service, Services};
 
 /// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
 /// other frames fills the queue.
@@ -11,8 +11,8 @@ const CAPACITY: usize = 16;
 /// The pending frames.
 #[derive(Debug)]
 pub struct TransmitQueue {
-    /// The pending frames, the next to leave last, then unused places.
-    frames: [Frame; CAPACITY],
+    /// The pending frames with their services, the next to leave last, then unused places.
+    frames: [(Frame, Service); CAPACITY],
     /// The number of pending frames.
     len: usize,
 }
@@ -20,7 +20,7 @@ pub struct TransmitQueue {
 impl TransmitQueue {
     /// An empty queue.
     pub const fn new() -> Self {
-        Self { frames: [Frame::with_one_byte(0, 0); CAPACITY], len: 0 }
+        Self { frames: [(Frame::with_one_byte(0, 0), Service::Lss); CAPACITY], len: 0 }
     }
 
     /// Whether the queue is empty.
@@ -33,15 +33,15 @@ impl TransmitQueue {
         self.len = 0;
     }
 
-    /// Drops the frames with these COB-IDs.
-    pub fn drop_frames(&mut self, are_dropped: impl Fn(u16) -> bool) {
+    /// Drops the frames of these services.
+    pub fn drop_frames(&mut self, services: Services) {
         let mut kept = 0;
         for at in 0..self.len {
-            if let Some(frame) = self.frames.get(at).copied()
-                && !are_dropped(frame.cob_id())
+            if let Some((frame, service)) = self.frames.get(at).copied()
+                && !services.has(service)
                 && let Some(place) = self.frames.get_mut(kept)
             {
-                *place = frame;
+                *place = (frame, service);
                 kept = kept.wrapping_add(1);
             }
         }
@@ -50,18 +50,18 @@ impl TransmitQueue {
 
     /// Whether frames wait, all of them less urgent than `frame`.
     pub fn is_behind(&mut self, frame: &Frame) -> bool {
-        self.pending().last().is_some_and(|next| frame.cob_id() < next.cob_id())
+        self.pending().last().is_some_and(|(next, _)| frame.cob_id() < next.cob_id())
     }
 
-    /// Adds a frame; returns whether there was room. A PDO replaces the waiting one of the same COB-ID, so that a board
+    /// Adds a frame; returns whether there was room. A TPDO replaces the waiting one of the same COB-ID, so that a board
     /// that is alone on its bus does not accumulate them. The node itself lets only one heartbeat wait.
-    pub fn push(&mut self, frame: Frame) -> bool {
-        let cob_id = frame.cob_id();
+    pub fn push(&mut self, frame: Frame, service: Service) -> bool {
+        let frame = (frame, service);
         let pending = self.pending();
-        let at = pending.iter().take_while(|behind| behind.cob_id() > cob_id).count();
+        let at = pending.iter().take_while(|behind| rank(behind) > rank(&frame)).count();
         if let Some(before) = pending.get_mut(at)
-            && before.cob_id() == cob_id
-            && is_process_data(cob_id)
+            && rank(before) == rank(&frame)
+            && service == Service::Tpdo
         {
             *before = frame;
             return true;
@@ -79,18 +79,21 @@ impl TransmitQueue {
     }
 
     /// Removes the most urgent frame if `send` accepts it.
-    pub fn pop_if(&mut self, send: impl FnOnce(&Frame) -> bool) {
+    pub fn pop_if(&mut self, send: impl FnOnce(&(Frame, Service)) -> bool) {
         if self.pending().last().is_some_and(send) {
             self.len = self.len.wrapping_sub(1);
         }
     }
 
-    fn pending(&mut self) -> &mut [Frame] {
+    fn pending(&mut self) -> &mut [(Frame, Service)] {
         self.frames.get_mut(..self.len).unwrap_or_default()
     }
 }
 
-/// Whether only PDOs may have this COB-ID: 180h to 57Fh and 680h to 6DFh (CiA 301, 7.3.5).
-fn is_process_data(cob_id: u16) -> bool {
-    matches!(cob_id, 0x180..=0x57F | 0x680..=0x6DF)
+/// The order in which frames leave: by COB-ID, but the TPDOs last, since a master waits for the others.
+const fn rank((frame, service): &(Frame, Service)) -> u16 {
+    match service {
+        Service::Tpdo => 0x800 | frame.cob_id(),
+        _ => frame.cob_id(),
+    }
 }

@@ -38,7 +38,7 @@ struct Saboteur {
 impl Saboteur {
     fn take_sent(&mut self) {
         for (us, action) in self.rig.take_timed_actions() {
-            if let Action::Transmit(frame) = action
+            if let Action::Transmit(frame, _) = action
                 && let Some(frame) = (self.of_node)(frame)
             {
                 let at = Duration::from_micros(us);

@@ -17,7 +17,7 @@ use can_bus::{
     person::Person,
     stop::Stop,
 };
-use canopen_node::{Action, BitRate, Device, Frame};
+use canopen_node::{Action, BitRate, Device, Frame, Service};
 use lss::Session;
 use program_update::{FlashError, start::Cause};
 use testkit::{
@@ -240,7 +240,7 @@ impl Fleet {
             bus.on_bus(number, |rig| {
                 let id = rig.node.node_id().map_or(0, |id| u16::from(id.get()));
                 let answer = Frame::new(0x580 + id, &[0x60, 0x51, 0x1F, 1, 0, 0, 0, 0]);
-                rig.act(answer.map(Action::Transmit));
+                rig.act(answer.map(|frame| Action::Transmit(frame, Service::Sdo)));
             });
         }
     }
