@@ -36,7 +36,7 @@ impl Services {
 
     /// The set of this service alone.
     pub const fn of(service: Service) -> Self {
-        Self(1 << service as u8)
+        Self(1_u8.wrapping_shl(service as u32))
     }
 
     /// The set of these services.
