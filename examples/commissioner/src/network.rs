@@ -1,7 +1,7 @@
 //! The network: the bus with all that is heard there, and button, LED and watchdog, which are served during each wait.
 
 use canopen_node::{
-    BitRate, Count, Frame, Instant, NodeId, Receives,
+    BitRate, Count, Frame, Instant, NodeId, Receives, Service,
     lss::{REQUEST_COB_ID, RESPONSE_COB_ID},
     runner::{Controller as _, Mode, Received},
 };
@@ -124,7 +124,7 @@ impl Bus for Network {
         let is_question = matches!(frame.data(), [0x43 | 0x5D | 0x5E | 0x11, ..]);
         self.seen.surplus -= i32::from(is_question);
         let until = now().plus_micros(PATIENCE);
-        while !self.can.send(frame) && !until.has_come(now()) {
+        while !self.can.send(frame, Service::Lss) && !until.has_come(now()) {
             self.pause(200)?;
         }
         Ok(())
