@@ -28,7 +28,7 @@ use crate::{
     nmt::{self, Command, slave::NmtSlave},
     numbers::{List, Numbers},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
-    sdo::{self, Message},
+    sdo::{self, Message, Objects},
     settings::parameters::{Packer, Parameter},
 };
 pub use action::Action;
@@ -193,7 +193,7 @@ impl<A: Application> Node<A> {
     /// Whether frames of the node wait until those before them have left, as in an SDO block upload or after a heartbeat.
     /// The next of them follow [`BusEvent::NonePending`].
     pub fn wants_to_send_more(&self) -> bool {
-        self.sdo.is_sending_block() || self.periodic.is_waiting()
+        NodeObjects::<A>::BLOCK_UPLOAD && self.sdo.is_sending_block() || self.periodic.is_waiting()
     }
 
     /// Records that a debugger has halted the program, and that the board has dropped all frames since. Ends an SDO

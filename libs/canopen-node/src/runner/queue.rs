@@ -35,17 +35,9 @@ impl TransmitQueue {
 
     /// Drops the frames of these services.
     pub fn drop_frames(&mut self, services: Services) {
-        let mut kept = 0;
-        for at in 0..self.len {
-            if let Some((frame, service)) = self.frames.get(at).copied()
-                && !services.has(service)
-                && let Some(place) = self.frames.get_mut(kept)
-            {
-                *place = (frame, service);
-                kept = kept.wrapping_add(1);
-            }
-        }
-        self.len = kept;
+        let pending = Cell::from_mut(self.pending()).as_slice_of_cells();
+        let kept = pending.iter().filter(|place| !services.has(place.get().1));
+        self.len = pending.iter().zip(kept).map(|(to, from)| to.set(from.get())).count();
     }
 
     /// Whether frames wait, all of them less urgent than `frame`.
@@ -57,24 +49,25 @@ impl TransmitQueue {
     /// that is alone on its bus does not accumulate them. The node itself lets only one heartbeat wait.
     pub fn push(&mut self, frame: Frame, service: Service) -> bool {
         let frame = (frame, service);
-        let pending = self.pending();
-        let at = pending.iter().take_while(|behind| rank(behind) > rank(&frame)).count();
-        if let Some(before) = pending.get_mut(at)
-            && rank(before) == rank(&frame)
-            && service == Service::Tpdo
-        {
-            *before = frame;
+        let mut older = self.pending().iter_mut().filter(|_| service == Service::Tpdo);
+        if let Some(older) = older.find(|older| rank(older) == rank(&frame)) {
+            *older = frame;
             return true;
         }
-        let Some(places) = self.frames.get_mut(at..=self.len) else {
+        let Some(place) = self.frames.get_mut(self.len) else {
             return false;
         };
-        let places = Cell::from_mut(places).as_slice_of_cells();
-        for (to, from) in places.iter().skip(1).zip(places).rev() {
-            to.set(from.get());
-        }
-        places.iter().take(1).for_each(|place| place.set(frame));
+        *place = frame;
         self.len = self.len.wrapping_add(1);
+        let pending = Cell::from_mut(self.pending()).as_slice_of_cells();
+        for (behind, place) in pending.iter().zip(pending.iter().skip(1)).rev() {
+            let other = behind.get();
+            if rank(&other) > rank(&frame) {
+                break;
+            }
+            place.set(other);
+            behind.set(frame);
+        }
         true
     }
 
