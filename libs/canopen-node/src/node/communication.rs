@@ -50,7 +50,9 @@ impl<N: Numbers> Communication<N> {
 
     /// The table that has the object with this index.
     pub fn table(index: u16) -> Option<&'static [Entry]> {
-        if !Self::IS_USED {
+        // Most requests are for other objects.
+        let may_be = matches!(index, 0x1005..=0x1007 | 0x1016 | 0x1019 | 0x1400..=0x1BFF);
+        if !Self::IS_USED || !may_be {
             return None;
         }
         let has_it = |table: &&[Entry]| {

@@ -226,15 +226,19 @@ impl Mapping {
 
     /// The bytes of the values, the first as the lowest.
     pub fn read<A: Application>(&self, application: &mut A) -> u64 {
-        let (mut data, mut at) = (0, 0_u32);
+        // The bytes behind a value are zero, or those of the next one.
+        let mut bytes = [0; 16];
+        let mut at = 0_usize;
         for Entry { index, sub_index, data_type, object, .. } in self.entries() {
             if let Object::Application(field) = *object {
                 application.before_read(*index, *sub_index);
-                data |= application.bits(field).wrapping_shl(at);
+                if let Some(place) = bytes.get_mut(at..).and_then(<[u8]>::first_chunk_mut) {
+                    *place = application.bits(field).to_le_bytes();
+                }
             }
-            at = at.wrapping_add(bits(*data_type));
+            at = at.wrapping_add(data_type.size().into());
         }
-        data
+        bytes.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
     /// The bits of the values that are not quiet.
