@@ -14,7 +14,7 @@ const SDO_CYCLES: u64 = 900;
 /// The limit for the answer to store configuration if there is nothing to write: 15 us.
 const UNCHANGED_STORE_CYCLES: u64 = 15 * CORE_MHZ;
 /// The limits for the first three if reads of the flash have wait states.
-const WITH_WAITS: [u64; 3] = [640, 2_900, 1_250];
+const WITH_WAITS: [u64; 3] = [640, 3_000, 1_250];
 /// The limit for the CPU load of a 1 Mbit/s bus that is full of requests.
 const MOST_LOAD_PERCENT: u64 = 10;
 /// The time-out of a fast master.
