@@ -323,8 +323,11 @@ fn frames_that_find_no_room_are_dropped() {
     assert_eq!(board.take_sent().texts().len(), 1 + 16);
 }
 
+/// A handler of the runner.
+type Handler<A> = fn(&mut Runner<Handle, Handle, A>);
+
 /// The handlers, one of which an interrupt calls first after a halt.
-fn handlers<A: Application>() -> [fn(&mut Runner<Handle, Handle, A>); 4] {
+fn handlers<A: Application>() -> [Handler<A>; 4] {
     [
         |runner| runner.handle_received(),
         |runner| runner.handle_transmitted(),
@@ -334,11 +337,7 @@ fn handlers<A: Application>() -> [fn(&mut Runner<Handle, Handle, A>); 4] {
 }
 
 /// Lets a debugger halt the program for so many seconds, while the controller goes on; then calls this handler.
-fn halt<A: Application>(
-    board: &mut Board<A>,
-    seconds: u32,
-    handler: fn(&mut Runner<Handle, Handle, A>),
-) {
+fn halt<A: Application>(board: &mut Board<A>, seconds: u32, handler: Handler<A>) {
     let end = Instant::from_micros(board.chip().now_us).plus_micros(seconds * 1_000_000);
     board.chip().now_us = end.as_micros();
     if board.chip().place.is_some() {
