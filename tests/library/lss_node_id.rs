@@ -168,8 +168,8 @@ fn a_store_refused_by_the_medium_is_answered_17_02_and_changes_nothing() {
 
 #[test]
 fn a_store_that_reads_back_differently_is_answered_17_02() {
-    // The node-ID in the records of the first two stores, behind the three that formatting writes.
-    const NODE_ID_AT: [usize; 2] = [3 * 40 + 9, 4 * 40 + 9];
+    // The node-ID in the records of the first two stores, behind the two that formatting writes.
+    const NODE_ID_AT: [usize; 2] = [2 * 40 + 9, 3 * 40 + 9];
     let mut board = NodeRig::with_node_id(0x40);
     board.configure("11 05");
     board.flash.stick(NODE_ID_AT[1], 0x01, true);

@@ -430,20 +430,20 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!((unpacked.len(), unpacked[0].index, unpacked[0].value), (1, 0x6001, &[1][..]));
     let content = board.flash.content();
     let crc = 0xFD96_E654_u32; // Checked with Python's zlib.
-    // The places 3 and 4, of 40 bytes, which begin with a word.
-    assert_eq!(content[124..128], 412_u32.to_le_bytes(), "the sequence");
-    assert_eq!(content[128..135], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
-    assert_eq!(content[135..152], [0xFF; 17]);
-    assert_eq!(&content[152..156], b"\0\0SP", "the first part");
-    assert_eq!(content[164..168], 413_u32.to_le_bytes());
-    assert_eq!(content[174..178], [3, 0, 7, 0], "the first place and the length");
-    assert_eq!(content[178..182], crc.to_le_bytes());
-    assert_eq!(content[182..188], [0xFF, 0xFF, 0xFF, 0xFF, 2, 0xFF]);
+    // The places 2 and 3, of 40 bytes, which begin with a word.
+    assert_eq!(content[84..88], 411_u32.to_le_bytes(), "the sequence");
+    assert_eq!(content[88..95], [0x01, 0x60, 0, 0x01, 1, 0, 1]);
+    assert_eq!(content[95..112], [0xFF; 17]);
+    assert_eq!(&content[112..116], b"\0\0SP", "the first part");
+    assert_eq!(content[124..128], 412_u32.to_le_bytes());
+    assert_eq!(content[134..138], [2, 0, 7, 0], "the first place and the length");
+    assert_eq!(content[138..142], crc.to_le_bytes());
+    assert_eq!(content[142..148], [0xFF, 0xFF, 0xFF, 0xFF, 2, 0xFF]);
     board.node.application_mut().enabled = false;
     board.save(3).unwrap();
     let content = board.flash.content();
-    assert_eq!(content[254..258], [5, 0, 7, 0]);
-    assert_eq!(content[262..266], [1, 0, 4, 0], "one part, the others with the record in place 4");
+    assert_eq!(content[214..218], [4, 0, 7, 0]);
+    assert_eq!(content[222..226], [1, 0, 3, 0], "one part, the others with the record in place 3");
 }
 
 objects! {
