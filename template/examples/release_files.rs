@@ -3,19 +3,12 @@
 
 use std::{path::Path, process::ExitCode};
 
-use emulator::chip::Part;
-use testkit::release::{self, Program};
+use testkit::release;
 
 #[path = "eds.rs"]
 #[allow(dead_code, reason = "it is a program")]
 mod eds;
 
 fn main() -> ExitCode {
-    release::run(&Program {
-        folder: Path::new(env!("CARGO_MANIFEST_DIR")),
-        package: "@name@",
-        part: Part::@part@,
-        name: "@name@",
-        data_sheet: eds::sheet(),
-    })
+    release::run(Path::new(env!("CARGO_MANIFEST_DIR")), "@name@", eds::sheet())
 }

@@ -7,6 +7,7 @@ use std::{
     process::{Command, ExitCode},
 };
 
+use canopen_stm32f4::chip::Chip;
 use chip_build::cargo_for_the_chip;
 
 fn main() -> ExitCode {
@@ -19,8 +20,10 @@ fn main() -> ExitCode {
         );
         return ExitCode::FAILURE;
     }
+    let chip = Chip::of_manifest(include_str!("../Cargo.toml")).expect("the feature `chip` names one");
     let outcome = cargo_for_the_chip(Path::new("."), &command).and_then(|mut cargo| {
-        cargo.args(["--release", "--features", "@chip@", "--bin", "@name@"]);
+        cargo.args(["--release", "--features", "chip", "--bin", "@name@"]);
+        cargo.env("PROBE_RS_CHIP", chip.probe_rs);
         cargo.args(env::args().skip(2)).status()
     });
     match outcome {

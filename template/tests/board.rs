@@ -7,22 +7,21 @@ use emulator::{
     Time,
     board::{Board, Settings},
     can::Clock,
-    chip::{ChipVariant, Part},
-    image::Image,
+    chip::ChipVariant,
 };
 use canopen_node::BitRateSetting;
 use testkit::{
     boards,
     frames::{SILENCE, number},
-    image,
+    image::Product,
     image_rig::ImageRig,
     sdo::Client,
 };
 
-static IMAGE: LazyLock<Image> = LazyLock::new(|| {
-    let (directory, name) = (env::var("CARGO_MANIFEST_DIR"), env!("CARGO_PKG_NAME"));
-    image::build_product(&directory.expect("cargo runs this"), name, Part::@part@)
-        .unwrap_or_else(|error| panic!("{error}"))
+/// The release image, with the chip of Cargo.toml and the controller of src/pins.rs.
+static PRODUCT: LazyLock<Product> = LazyLock::new(|| {
+    let directory = env::var("CARGO_MANIFEST_DIR").expect("cargo runs this");
+    Product::build(&directory, env!("CARGO_PKG_NAME")).unwrap_or_else(|error| panic!("{error}"))
 });
 
 /// A new board, which has stored nothing.
@@ -37,12 +36,12 @@ fn new_board() -> ImageRig {
             ..ChipVariant::default()
         },
         unique_id: boards::unique_id(0),
-        controller: @controller@,
+        controller: PRODUCT.controller.into(),
         // A peripheral that the emulator does not model is a line of the report, and no failure.
         tolerates_unmodelled: true,
         ..Settings::default()
     };
-    ImageRig::new(bit_rate, [Board::new(Part::@part@, &IMAGE, settings)])
+    ImageRig::new(bit_rate, [Board::new(PRODUCT.part, &PRODUCT.image, settings)])
 }
 
 /// Gives the board the node-ID 5 over LSS, and lets it store that.

@@ -4,12 +4,10 @@
 use std::{env, error::Error, path::Path};
 
 use @crate@::device::DEVICE;
-use emulator::chip::Part;
 use testkit::update;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let product = env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default();
     let loader_key = None;
-    let part = Part::@part@;
-    Ok(update::run(Path::new(&product), "@name@", &DEVICE, part, @controller@, loader_key)?)
+    Ok(update::run(Path::new(&product), "@name@", &DEVICE, loader_key)?)
 }

@@ -51,6 +51,12 @@ impl Chip {
         CHIPS.into_iter().find(|chip| chip.feature == feature)
     }
 
+    /// The chip that the manifest of a product names: `"canopen-stm32f4/stm32f446"`.
+    pub fn of_manifest(manifest: &str) -> Option<Self> {
+        let features = manifest.split("\"canopen-stm32f4/").skip(1);
+        features.filter_map(|rest| rest.split('"').next()).find_map(Self::named)
+    }
+
     /// RUN begins with sector 4. A loader that takes only signed programs needs that sector itself, so RUN begins with
     /// sector 5 behind it; a chip with 256 KB has no room for such a program, and RUN has no sector.
     pub const fn run(&self, is_signed: bool) -> Run {

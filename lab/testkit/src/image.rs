@@ -8,7 +8,8 @@ use std::{
     sync::OnceLock,
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
+use canopen_stm32f4::chip::Chip;
 use emulator::{chip::Part, image::Image};
 
 use crate::cargo::{cargo_for_the_chip, workspace};
@@ -64,7 +65,7 @@ pub fn build_plain(part: Part) -> anyhow::Result<Image> {
 
 /// Builds the release firmware for a board of this name, which is a feature beside that of its chip.
 pub fn build_board(name: &str, part: Part) -> anyhow::Result<Image> {
-    let elf = build_with(workspace(), FIRMWARE, part, |command| {
+    let elf = build_with(workspace(), FIRMWARE, part.name(), |command| {
         command.args(["--features", name]);
     })?;
     Ok(Image::from_elf(&elf)?)
@@ -81,13 +82,57 @@ fn build_package(package: &str, part: Part) -> anyhow::Result<Image> {
 
 /// Builds the release firmware of a package of the workspace for `part`, and returns the ELF file.
 pub fn build_elf(package: &str, part: Part) -> anyhow::Result<Vec<u8>> {
-    build_with(workspace(), package, part, |_| ())
+    build_with(workspace(), package, part.name(), |_| ())
 }
 
-/// Builds the release firmware of a product for `part`: the program `name` of the package of that name in `directory`,
-/// which `cargo xtask new-product` has made.
-pub fn build_product(directory: &str, name: &str, part: Part) -> anyhow::Result<Image> {
-    Ok(Image::from_elf(&build_with(Path::new(directory), name, part, |_| ())?)?)
+/// The feature of a product that turns its program on; it names the chip.
+pub(crate) const OF_PRODUCT: &str = "chip";
+
+/// A product that `cargo xtask new-product` has made.
+pub struct Product {
+    pub part: Part,
+    /// The CAN controller: 1 for CAN1.
+    pub controller: u8,
+    /// The release image.
+    pub image: Image,
+}
+
+impl Product {
+    /// Builds the program of the package `name` in `directory`.
+    ///
+    /// # Errors
+    /// It does not build, its chip or its controller is not found, or no task serves the controller.
+    pub fn build(directory: &str, name: &str) -> anyhow::Result<Self> {
+        let directory = Path::new(directory);
+        let (part, controller) = board_of(directory)?;
+        let elf = build_with(directory, name, OF_PRODUCT, |_| ())?;
+        Ok(Self { part, controller, image: Image::from_elf(&elf)? })
+    }
+}
+
+/// The chip of a product in `Cargo.toml`, and its controller in `src/pins.rs`, to whose interrupts `src/main.rs` must bind.
+pub(crate) fn board_of(directory: &Path) -> anyhow::Result<(Part, u8)> {
+    board_with(|path| {
+        fs::read_to_string(directory.join(path)).with_context(|| format!("cannot read {path}"))
+    })
+}
+
+pub(crate) fn board_with(
+    read: impl Fn(&str) -> anyhow::Result<String>,
+) -> anyhow::Result<(Part, u8)> {
+    let chip = Chip::of_manifest(&read("Cargo.toml")?);
+    let chip = chip.context("the feature `chip` of Cargo.toml names no chip")?;
+    let (pins, main) = (read("src/pins.rs")?, read("src/main.rs")?);
+    let can = pins.split("type Can = pac::CAN").nth(1).and_then(|rest| rest.get(..1));
+    let can = can.context("src/pins.rs has no `type Can = pac::CAN1`, or CAN2 or CAN3")?;
+    for interrupt in ["RX0", "TX", "SCE"].map(|name| format!("CAN{can}_{name}")) {
+        ensure!(
+            main.contains(&format!("binds = {interrupt},")),
+            "src/main.rs binds no task to {interrupt}, an interrupt of CAN{can} in src/pins.rs"
+        );
+    }
+    let part = chip.feature.parse().map_err(anyhow::Error::msg)?;
+    Ok((part, can.parse().context("the number of a CAN controller")?))
 }
 
 /// Builds the program of a package for others: the ELF file. It does not depend on the `directory`, which holds the package
@@ -117,7 +162,8 @@ pub(crate) fn build_release(
         path.map(|path| format!("--remap-path-prefix={}={name}", path.display()))
     });
     let flags = new_names.collect::<Vec<_>>().join("\u{1f}");
-    build_with(directory, package, part, |command| {
+    let feature = if package == FIRMWARE { part.name() } else { OF_PRODUCT };
+    build_with(directory, package, feature, |command| {
         command.args(["--locked", "--target-dir"]).arg(directory.join("target"));
         command.env("CARGO_ENCODED_RUSTFLAGS", &flags);
         if let Some(home) = cargo_home {
@@ -131,10 +177,10 @@ pub(crate) fn build_release(
 pub(crate) fn build_with(
     directory: &Path,
     package: &str,
-    part: Part,
+    feature: &str,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
-    build_bin(directory, [package; 2], part, change)
+    build_bin(directory, [package; 2], feature, change)
 }
 
 /// Builds the loader of a product in `directory`, which has the name of its package, and returns the ELF file.
@@ -142,11 +188,10 @@ pub(crate) fn build_with(
 pub(crate) fn build_loader(
     directory: &Path,
     package: &str,
-    part: Part,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
     let bin = format!("{package}-loader");
-    build_bin(directory, [package, &bin], part, |command| {
+    build_bin(directory, [package, &bin], OF_PRODUCT, |command| {
         // There is no room for a log. The level is built into this package. The loader gets a copy of its own, so that its
         // build and that of the program do not undo each other.
         command.env("DEFMT_LOG", "off").arg("--no-default-features");
@@ -167,14 +212,14 @@ pub(crate) fn build_loader(
 fn build_bin(
     directory: &Path,
     [package, bin]: [&str; 2],
-    part: Part,
+    feature: &str,
     change: impl FnOnce(&mut Command),
 ) -> anyhow::Result<Vec<u8>> {
     let _lock = lock(directory).context("cannot wait for other builds of the firmware")?;
     let mut command = cargo_for_the_chip(directory, "build")?;
     command
         .args(["--package", package, "--bin", bin, "--release"])
-        .args(["--features", part.name(), "--message-format", "json-render-diagnostics"])
+        .args(["--features", feature, "--message-format", "json-render-diagnostics"])
         .stdin(Stdio::null())
         .stderr(Stdio::inherit());
     change(&mut command);

@@ -11,7 +11,10 @@ use std::{
 use canopen_stm32f4::chip::Chip;
 use emulator::{chip::Part, image::Image};
 
-use crate::{cargo::workspace, image};
+use crate::{
+    cargo::workspace,
+    image::{self, OF_PRODUCT},
+};
 
 /// The files that the product shares with this repository.
 const COPIES: [&str; 3] = ["Cargo.lock", "rust-toolchain.toml", "rustfmt.toml"];
@@ -87,7 +90,7 @@ pub fn build_changed(
     let mut files = product.files()?;
     change(&mut files, changes)?;
     product.write_files(&files)?;
-    image::build_with(&folder, name, chip, |command| {
+    image::build_with(&folder, name, OF_PRODUCT, |command| {
         in_our_target(command);
         command.stderr(Stdio::piped());
     })
@@ -112,7 +115,7 @@ pub fn build_with_update(
     change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<[Image; 2]> {
     let folder = write_with_update(name, chip, controller, false, change)?;
-    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
+    Ok([loader_in(&folder, name)?, program_in(&folder, name)?])
 }
 
 /// The same for a product whose loader takes only programs that the owner of this key has signed.
@@ -126,13 +129,13 @@ pub fn build_signed(
         path if path == update::KEY.1 => crate::update::with_key(&content, key),
         _ => content,
     })?;
-    Ok([loader_in(&folder, name, chip)?, program_in(&folder, name, chip)?])
+    Ok([loader_in(&folder, name)?, program_in(&folder, name)?])
 }
 
 /// The loader of such a product alone.
 pub fn build_loader(name: &str, chip: Part, controller: u8) -> anyhow::Result<Image> {
     let unchanged = |_: &str, content| content;
-    loader_in(&write_with_update(name, chip, controller, false, unchanged)?, name, chip)
+    loader_in(&write_with_update(name, chip, controller, false, unchanged)?, name)
 }
 
 /// The program of such a product alone: another one for boards with the loader of a product.
@@ -142,7 +145,7 @@ pub fn build_program(
     controller: u8,
     change: impl Fn(&str, String) -> String,
 ) -> anyhow::Result<Image> {
-    program_in(&write_with_update(name, chip, controller, false, change)?, name, chip)
+    program_in(&write_with_update(name, chip, controller, false, change)?, name)
 }
 
 fn write_with_update(
@@ -160,13 +163,13 @@ fn write_with_update(
     Ok(folder)
 }
 
-fn loader_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
-    let elf = image::build_loader(folder, name, chip, in_our_target)?;
+fn loader_in(folder: &Path, name: &str) -> anyhow::Result<Image> {
+    let elf = image::build_loader(folder, name, in_our_target)?;
     crate::update::in_flash(&Image::from_elf(&elf)?)
 }
 
-fn program_in(folder: &Path, name: &str, chip: Part) -> anyhow::Result<Image> {
-    Ok(Image::from_elf(&image::build_with(folder, name, chip, in_our_target)?)?)
+fn program_in(folder: &Path, name: &str) -> anyhow::Result<Image> {
+    Ok(Image::from_elf(&image::build_with(folder, name, OF_PRODUCT, in_our_target)?)?)
 }
 
 /// The HAL is built there already.
@@ -275,9 +278,7 @@ impl Product<'_> {
             ("crate", self.name.replace('-', "_")),
             ("chip", chip.feature.to_owned()),
             ("CHIP", chip.feature.to_uppercase()),
-            ("part", format!("{:?}", self.chip)),
             ("controller", self.controller.to_string()),
-            ("probe-rs", chip.probe_rs.to_owned()),
             ("repository", self.git.map_or_else(|| self.path(""), str::to_owned)),
             ("source chip-build", self.dependency("lab/chip-build")),
             ("source emulator", self.dependency("lab/emulator")),
@@ -379,10 +380,27 @@ mod tests {
     }
 
     #[test]
-    fn cargo_flash_of_a_product_names_its_chip_to_probe_rs() {
+    fn the_chip_is_the_one_of_the_manifest_and_the_controller_that_of_the_pins() {
         let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"));
-        let config: Table = content(&files, ".cargo/config.toml").parse().expect("TOML");
-        assert_eq!(config["env"]["PROBE_RS_CHIP"].as_str(), Some("STM32F413VHTx"));
+        let read = |path: &str| Ok(content(&files, path).to_owned());
+        let (part, controller) = image::board_with(read).expect("both are there");
+        assert_eq!((part, controller), (Part::Stm32f413, 3));
+        for (path, name) in files.iter().filter(|(path, _)| !path.ends_with(".md")) {
+            let is_manifest = ["Cargo.toml", "src/device.rs"].contains(path);
+            assert_eq!(name.to_lowercase().contains("stm32f413"), is_manifest, "{path}");
+        }
+    }
+
+    #[test]
+    fn an_interrupt_of_another_controller_is_named() {
+        let files = files(Part::Stm32f446, 2, None, Path::new("/products/door-lock"));
+        let read = |path: &str| match path {
+            "src/main.rs" => Ok(content(&files, path).replace("CAN2_SCE", "CAN1_SCE")),
+            _ => Ok(content(&files, path).to_owned()),
+        };
+        let error = image::board_with(read).expect_err("the board would answer nothing");
+        let text = "src/main.rs binds no task to CAN2_SCE, an interrupt of CAN2 in src/pins.rs";
+        assert_eq!(error.to_string(), text);
     }
 
     #[test]
@@ -403,7 +421,7 @@ mod tests {
         let here = workspace().file_name().and_then(|name| name.to_str()).expect("UTF-8");
         let library = &manifest["dependencies"]["canopen-node"];
         assert_eq!(library["path"].as_str(), Some(&*format!("../{here}/libs/canopen-node")));
-        let feature = &manifest["features"]["stm32f446"];
+        let feature = &manifest["features"]["chip"];
         assert_eq!(feature[0].as_str(), Some("canopen-stm32f4/stm32f446"));
 
         let url = "https://example.org/lss-slave.git";

@@ -98,10 +98,10 @@ pub fn write(folder: &Path, mut files: Vec<File>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `cargo release-files [--check-reproducible] [FOLDER]` of a product: writes its files into `target/release-files`, or
-/// another folder. Prints why it fails.
-pub fn run(program: &Program) -> ExitCode {
-    match try_run(program) {
+/// `cargo release-files [--check-reproducible] [FOLDER]` of the product `name` in `product`: writes its files into
+/// `target/release-files`, or another folder. Prints why it fails.
+pub fn run(product: &Path, name: &str, data_sheet: String) -> ExitCode {
+    match try_run(product, name, data_sheet) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -110,7 +110,7 @@ pub fn run(program: &Program) -> ExitCode {
     }
 }
 
-fn try_run(program: &Program) -> anyhow::Result<()> {
+fn try_run(product: &Path, name: &str, data_sheet: String) -> anyhow::Result<()> {
     let (mut is_checked, mut folder) = (false, None);
     for argument in env::args().skip(1) {
         match &*argument {
@@ -125,10 +125,11 @@ fn try_run(program: &Program) -> anyhow::Result<()> {
             other => bail!("unknown argument {other}; see `cargo release-files --help`"),
         }
     }
+    let (part, _) = image::board_of(product)?;
+    let program = Program { folder: product, package: name, part, name, data_sheet };
     let files = program.files()?;
     if is_checked {
-        let name = format!("{}-elsewhere", program.package);
-        program.check_reproducible(&program.folder.with_file_name(name))?;
+        program.check_reproducible(&product.with_file_name(format!("{name}-elsewhere")))?;
     }
-    write(&folder.unwrap_or_else(|| program.folder.join("target/release-files")), files)
+    write(&folder.unwrap_or_else(|| product.join("target/release-files")), files)
 }

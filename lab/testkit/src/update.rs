@@ -170,8 +170,6 @@ pub fn run(
     product: &Path,
     name: &str,
     device: &Device,
-    part: Part,
-    controller: u8,
     loader_key: Option<&[u8; 32]>,
 ) -> anyhow::Result<()> {
     let mut arguments = env::args_os().skip(1);
@@ -184,8 +182,9 @@ pub fn run(
         }
     }
     check_key(product, key.as_ref(), loader_key)?;
-    let loader = image::build_loader(product, name, part, |_| ())?;
-    let program = image::build_with(product, name, part, |_| ())?;
+    let (part, controller) = image::board_of(product)?;
+    let loader = image::build_loader(product, name, |_| ())?;
+    let program = image::build_with(product, name, image::OF_PRODUCT, |_| ())?;
     let images = [in_flash(&Image::from_elf(&loader)?)?, Image::from_elf(&program)?];
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     for (name, content) in files(name, &images, device, part, controller, key.as_ref())? {

@@ -157,6 +157,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut surroundings = Surroundings { memory, programs, console };
     serve(&mut network, &inputs, &mut surroundings, bit_rate)?;
     print!("{}", surroundings.programs.report(&network));
+    ensure!(
+        surroundings.programs.are_tolerable(&network),
+        "a chip does not tolerate what the report has"
+    );
     Ok(())
 }
 

@@ -39,7 +39,7 @@ pub(super) const CHANGES: &[Change<'_>] = &[
     (
         "Cargo.toml",
         "[[bin]]\nname = \"flash\"",
-        "[[bin]]\nname = \"@name@-loader\"\npath = \"src/loader.rs\"\nrequired-features = [\"@chip@\"]\n\
+        "[[bin]]\nname = \"@name@-loader\"\npath = \"src/loader.rs\"\nrequired-features = [\"chip\"]\n\
          test = false\nbench = false\ndoc = false\n\n[[bin]]\nname = \"flash\"",
     ),
     (

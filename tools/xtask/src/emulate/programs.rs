@@ -86,6 +86,15 @@ impl Programs {
     pub fn report(&self, network: &Network) -> String {
         self.0.iter().map(|program| program.report(network.board(program.number))).collect()
     }
+
+    /// Whether none has locked up or done what a chip does not tolerate.
+    pub fn are_tolerable(&self, network: &Network) -> bool {
+        let mut boards = self.0.iter().map(|program| network.board(program.number));
+        boards.all(|board| {
+            let findings = board.findings();
+            board.lockup().is_none() && findings.iter().all(|it| board.chip().is_tolerable(it))
+        })
+    }
 }
 
 /// The program in an ELF file or in an Intel HEX file.
