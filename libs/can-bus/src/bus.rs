@@ -50,8 +50,10 @@ pub struct Bus {
     pace: Pace,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
-    /// The last NMT state that each node has reported by a heartbeat.
-    pub states: BTreeMap<u8, u8>,
+    /// Frames were dropped that nodes sent of themselves: who seems to be silent may have answered.
+    pub has_dropped: bool,
+    /// The nodes that have sent a heartbeat or an emergency, and the last NMT state that each has reported.
+    pub heard: BTreeMap<u8, Option<u8>>,
     /// The node-IDs that boards have told by inquire node-ID, FFh for none.
     pub inquired: BTreeSet<u8>,
     /// The time from the latest LSS request to its answer.
@@ -154,7 +156,8 @@ impl Bus {
             other_master: None,
             pace: Pace::Patient,
             unasked: VecDeque::new(),
-            states: BTreeMap::new(),
+            has_dropped: false,
+            heard: BTreeMap::new(),
             inquired: BTreeSet::new(),
             last_answer: None,
             short_answer: None,
@@ -462,7 +465,10 @@ impl Bus {
 
     fn keep(&mut self, received: Received) {
         if self.unasked.len() == KEPT {
-            self.unasked.pop_front();
+            // What no question is answered by goes first.
+            let other = self.unasked.iter().position(|kept| !is_told(&kept.frame));
+            self.has_dropped |= other.is_none();
+            self.unasked.remove(other.unwrap_or(0));
         }
         self.unasked.push_back(received);
     }
@@ -471,7 +477,10 @@ impl Bus {
         let frame = &received.frame;
         match (frame.cob_id(), frame.data()) {
             (0x701..=0x77F, &[state]) => {
-                self.states.insert((frame.cob_id() & 0x7F) as u8, state);
+                self.heard.insert((frame.cob_id() & 0x7F) as u8, Some(state));
+            }
+            (0x081..=0x0FF, [_, ..]) => {
+                self.heard.entry((frame.cob_id() & 0x7F) as u8).or_default();
             }
             (lss::RESPONSE_COB_ID, data) if data.len() < 8 => self.short_answer = Some(*frame),
             (lss::RESPONSE_COB_ID, &[0x5E, id, ..]) => {
@@ -490,4 +499,9 @@ impl Bus {
         }
         Ok(())
     }
+}
+
+/// Whether a node tells of itself: by an emergency, an answer, a boot-up message or a heartbeat.
+fn is_told(frame: &Frame) -> bool {
+    matches!(frame.cob_id(), 0x081..=0x0FF | 0x581..=0x5FF | 0x701..=0x77F | lss::RESPONSE_COB_ID)
 }

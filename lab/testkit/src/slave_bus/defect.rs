@@ -31,10 +31,14 @@ pub enum Defect {
     IsJoinedAtReset(usize),
     /// Its first boot-up messages are lost.
     LosesBootUps(usize),
-    /// Its first answers to SDO are lost.
+    /// Its first answers to SDO and to identify non-configured remote slave are lost.
     LosesAnswers(usize),
     /// Texts of the object 2101h:3 have a zero behind them.
     PadsTexts,
+    /// It does not know its own serial number when it is selected.
+    IgnoresItsSelection,
+    /// It tells another serial number by LSS.
+    TellsAnotherSerialNumber,
     /// It refuses to tell its serial number by SDO.
     HidesItsSerialNumber,
     /// It says that it produces SYNC with the COB-ID 80h.
@@ -46,12 +50,16 @@ impl Defect {
     pub(super) fn alters(&mut self, frame: Frame) -> Option<Frame> {
         match (self, frame.cob_id(), frame.data()) {
             (Self::LosesBootUps(left @ 1..), 0x701..=0x77F, [0])
-            | (Self::LosesAnswers(left @ 1..), 0x581..=0x5FF, _) => {
+            | (Self::LosesAnswers(left @ 1..), 0x581..=0x5FF, _)
+            | (Self::LosesAnswers(left @ 1..), RESPONSE_COB_ID, [0x50, ..]) => {
                 *left -= 1;
                 None
             }
             (Self::PadsTexts, cob_id, &[0x47, 0x01, 0x21, 3, a, b, c, d]) => {
                 Frame::new(cob_id, &[0x43, 0x01, 0x21, 3, a, b, c, d])
+            }
+            (Self::TellsAnotherSerialNumber, RESPONSE_COB_ID, &[0x5D, a, b, c, d, ..]) => {
+                Frame::new(RESPONSE_COB_ID, &[0x5D, !a, b, c, d, 0, 0, 0])
             }
             (Self::HidesItsSerialNumber, cob_id, [0x43, 0x18, 0x10, 4, ..]) => {
                 Frame::new(cob_id, &[0x80, 0x18, 0x10, 4, 0x11, 0, 9, 6])
@@ -73,6 +81,7 @@ impl<A: Application + Clone> SlaveBus<A> {
         let id = rig.node.node_id().map(NodeId::get);
         match (frame.cob_id(), fault) {
             (nmt::COMMAND_COB_ID, Defect::IgnoresResets) => return true,
+            (REQUEST_COB_ID, Defect::IgnoresItsSelection) if specifier == 0x43 => return true,
             (
                 nmt::COMMAND_COB_ID,
                 Defect::IsReplacedAtReset(other) | Defect::IsJoinedAtReset(other),

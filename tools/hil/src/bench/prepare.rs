@@ -16,7 +16,7 @@ impl Bench {
     /// Learns what the boards have stored, gives those without a node-ID one, and stores the rate of the bench.
     pub fn prepare(&mut self) -> Result<(), Stop> {
         self.base = self.bus.rate();
-        let states = self.bus.states.clone();
+        let states = self.bus.heard.clone();
         self.bus.nmt(RESET_NODE, 0)?;
         self.boot_ups(BOOT)?;
         let mut boards = Vec::new();
@@ -33,7 +33,7 @@ impl Bench {
                 node_id,
                 bit_rate: self.base.into(),
                 heartbeat_ms: 0,
-                was_operational: node_id.is_some_and(|id| states.get(&id.get()) == Some(&5)),
+                was_operational: node_id.is_some_and(|id| states.get(&id.get()) == Some(&Some(5))),
             };
             let id = node_id.unwrap_or_else(|| self.unheard_id(&boards));
             boards.push(Board { address, id, original });
@@ -128,7 +128,7 @@ impl Bench {
     /// A node-ID that was not heard on the bus, and that no board has.
     fn unheard_id(&self, taken: &[Board]) -> NodeId {
         let is_free = |id: &NodeId| {
-            !self.bus.states.contains_key(&id.get()) && taken.iter().all(|board| board.id != *id)
+            !self.bus.heard.contains_key(&id.get()) && taken.iter().all(|board| board.id != *id)
         };
         let mut ids = (1..=FIRST_FREE_ID).rev().filter_map(NodeId::new);
         ids.find(is_free).unwrap_or(NodeId::new(FIRST_FREE_ID).expect("1..=127"))

@@ -44,7 +44,7 @@ fn power_cut(bench: &mut Bench) -> Result<(), Stop> {
     }
     bench.report.progress("now: switch the power off, wait 2 s, switch it on again");
     bench.check_boot_up("settings through a power cut", other, HANDS)?;
-    bench.bus.states.remove(&other.get());
+    bench.bus.heard.remove(&other.get());
     Ok(())
 }
 

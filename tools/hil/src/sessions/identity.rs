@@ -26,7 +26,7 @@ pub fn find(bench: &mut Bench) -> Result<(), Stop> {
     // Heartbeats come once a second by default.
     bench.bus.pass(Duration::from_millis(1100))?;
     let others: Vec<u8> =
-        bench.bus.states.keys().filter(|node| !own.contains(node)).copied().collect();
+        bench.bus.heard.keys().filter(|node| !own.contains(node)).copied().collect();
     for node in others {
         let mut parts = [0; 4];
         for (part, sub_index) in parts.iter_mut().zip(1..) {

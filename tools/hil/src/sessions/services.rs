@@ -100,7 +100,7 @@ fn node_id(bench: &mut Bench) -> Result<(), Stop> {
         format!("boot-ups of {nodes:?}"),
         format!("[{id}]"),
     );
-    bench.bus.states.remove(&other.get());
+    bench.bus.heard.remove(&other.get());
     let _ = board::select(&mut bench.bus, board.address)?;
     Ok(())
 }

@@ -174,7 +174,7 @@ fn one_at_a_time(session: &mut Session<'_>, work: &mut Work) -> Result<(), Failu
             break;
         }
         is_next = named(session, work)?;
-        let mut blank = scan::blank(session)?;
+        let mut blank = scan::blank(session, &mut work.done.problems)?;
         // One that was pulled out may be tried again.
         work.done.held.retain(|address| blank.contains(address));
         blank.retain(|address| !work.done.held.contains(address));

@@ -9,9 +9,11 @@ use crate::{
 
 /// Prints a row for each node, as a table or as JSON.
 pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
-    let rows = rows::rows(session)?;
+    let mut problems = Vec::new();
+    let rows = rows::rows(session, &mut problems)?;
     session.progress.clear();
     if rows.is_empty() {
+        Failure::of(&problems)?;
         return Err(Failure::nobody(session.bus.rate()));
     }
     if is_json {
@@ -24,7 +26,7 @@ pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     let duplicates = rows.iter().filter(|row| row.is_duplicate);
     let duplicates = duplicates.filter_map(|row| row.lss_address.as_ref());
     let mut duplicates: Vec<String> = duplicates.map(address::text).collect();
-    let mut problems = rows::twins(&rows);
+    problems.extend(rows::twins(&rows));
     duplicates.retain(|address| !problems.iter().any(|problem| problem.contains(address)));
     if !duplicates.is_empty() {
         problems.push(format!(

@@ -108,7 +108,7 @@ fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
     session.bus.send_to(0x600 + cob_id, &sdo::read_request(0x1000, 0))?;
     let wait = session.bus.short();
     let answer = session.bus.wait_for(wait, |frame| frame.cob_id() == 0x580 + cob_id)?;
-    Ok(answer.is_some() || session.bus.states.contains_key(&id.get()))
+    Ok(answer.is_some() || session.bus.heard.contains_key(&id.get()))
 }
 
 /// Stores the pending node-ID and bit rate of a board.

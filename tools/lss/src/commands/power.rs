@@ -71,7 +71,7 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
         }
     }
     if !problems.is_empty() {
-        for blank in scan::blank(session)? {
+        for blank in scan::blank(session, &mut problems)? {
             let text = address::text(&blank);
             problems.push(format!("board {text} has no node-ID after power: it has not kept it"));
         }

@@ -173,7 +173,9 @@ impl Switch {
 
 /// The boards of the network, each of which can be selected.
 fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
-    let rows = rows::rows(session)?;
+    let mut problems = Vec::new();
+    let rows = rows::rows(session, &mut problems)?;
+    Failure::of(&problems)?;
     if let Some(twins) = rows::twins(&rows).pop() {
         return Err(Failure::Refused(twins));
     }

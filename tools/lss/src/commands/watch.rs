@@ -29,7 +29,9 @@ const EVENTS: usize = 3;
 pub fn watch(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     session.screen = session.screen.filter(|_| !is_json);
     let start = session.bus.time();
-    let mut rows = rows::rows(session)?;
+    let mut problems = Vec::new();
+    let mut rows = rows::rows(session, &mut problems)?;
+    problems.iter().for_each(|problem| session.progress.note(problem));
     // Boards without a node-ID were asked in LSS configuration state.
     session.bus.request(Request::SwitchToWaiting)?;
     session.bus.flush()?;
@@ -42,8 +44,7 @@ pub fn watch(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     session.bus.mind(Masters::None);
     session.progress.clear();
     for row in &mut rows {
-        let state = row.node_id.and_then(|id| session.bus.states.get(&id));
-        row.state = state.copied().map(rows::state);
+        row.state = row.node_id.and_then(|id| rows::heard_state(session, id));
     }
     if is_json {
         writeln!(session.out, "{}", serde_json::json!({ "nodes": rows }))?;

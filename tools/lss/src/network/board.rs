@@ -10,7 +10,7 @@ use canopen_node::{
 };
 use lss_master::{Configure, InquireNodeId, SelectAlone};
 
-use super::nodes;
+use super::{nodes, rows};
 use crate::{
     address::{self, id_text},
     failure::Failure,
@@ -48,13 +48,14 @@ pub struct Gift {
 pub fn give(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
     session.uninterrupted(|session| {
         configure(session, gift, true)?;
-        let outcome = prove(session, gift);
-        if let Err(failure) = &outcome
-            && !matches!(failure, Failure::Stop(_))
-        {
-            withdraw(session, gift);
+        let boots = prove(session, gift).map_err(|failure| match failure {
+            Failure::Stop(_) => failure,
+            failure => withdraw(session, gift).unwrap_or_default().unwrap_or(failure),
+        })?;
+        if let Some(before) = gift.before.filter(|_| gift.before != gift.to) {
+            session.bus.heard.remove(&before.get());
         }
-        outcome
+        Ok(boots)
     })
 }
 
@@ -105,13 +106,37 @@ fn take_back(session: &mut Session<'_>, before: Option<NodeId>, may_be_stored: b
     session.bus.mind(Masters::Lss);
 }
 
-/// Takes a stored node-ID back from a board that does not use it, and must not do so later.
-fn withdraw(session: &mut Session<'_>, gift: Gift) {
-    if session.carry_out(SelectAlone::new(gift.address)).is_ok()
-        && session.carry_out(InquireNodeId).is_ok_and(|id| id != gift.to)
-    {
-        take_back(session, gift.before, true);
+/// Takes a stored node-ID back from a board that does not use it, and must not do so later, or that shares it with
+/// another board. Returns the words for that, with both addresses.
+fn withdraw(session: &mut Session<'_>, gift: Gift) -> Result<Option<Failure>, Failure> {
+    let Gift { address, before, to, .. } = gift;
+    let other = match to {
+        Some(id) => other(&nodes::serial_numbers(session, id.get())?, &address),
+        None => None,
+    };
+    session.carry_out(SelectAlone::new(address))?;
+    let has_it = session.carry_out(InquireNodeId)? == to;
+    if !has_it || other.is_some() {
+        take_back(session, before, true);
     }
+    let (true, Some(other), Some(id)) = (has_it, other, to.map(NodeId::get)) else {
+        return Ok(None);
+    };
+    take_effect(session, Gift { before: to, to: before, ..gift }, RESET_COMMUNICATION)?;
+    let rows = rows::node(session, id, &[other])?;
+    let text = rows.iter().find_map(|row| row.lss_address).as_ref().map(address::text);
+    let other = text.unwrap_or_else(|| format!("with the serial number {other:08X}"));
+    Ok(Some(Failure::Refused(format!(
+        "board {other} has node-ID {id}, too: it was taken back from this one, which has stored that"
+    ))))
+}
+
+/// The serial number of another board than that with this LSS address, among those that a node-ID tells. 0 may be a
+/// refusal to tell it.
+fn other(numbers: &[u32], address: &Address) -> Option<u32> {
+    let is_other =
+        |number: &&u32| **number != address.serial_number && (**number != 0 || numbers.len() > 1);
+    numbers.iter().find(is_other).copied()
 }
 
 /// Lets the stored node-ID take effect, and checks that the board has it after a reset.
@@ -137,18 +162,21 @@ pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result
     if !boots {
         return Ok(false);
     }
-    let number = sdo::read_number(&mut session.bus, id.get(), 0x1018, 4)?;
+    let id = id.get();
+    // A node need not tell it.
+    let number = sdo::read_number(&mut session.bus, id, 0x1018, 4)?.ok();
     let mut unasked = session.bus.take_unasked().into_iter();
-    if unasked.any(|received| nodes::booted(&received.frame) == Some(id.get())) {
-        return Err(Failure::Refused(nodes::two(&address::text(address), id.get())));
-    }
-    match number {
-        Ok(number) if number != address.serial_number => Err(Failure::Refused(format!(
-            "node {} is another board, with the serial number {number:08X}",
-            id.get()
+    let is_twice = unasked.any(|received| nodes::booted(&received.frame) == Some(id));
+    let another = match is_twice {
+        true => other(&nodes::serial_numbers(session, id)?, address),
+        false => number.filter(|number| *number != address.serial_number),
+    };
+    match another {
+        Some(number) => Err(Failure::Refused(format!(
+            "node {id} is another board, with the serial number {number:08X}"
         ))),
-        // A node need not tell its serial number.
-        _ => Ok(true),
+        None if is_twice => Err(Failure::Refused(nodes::two(&address::text(address), id))),
+        None => Ok(true),
     }
 }
 
@@ -298,7 +326,7 @@ impl Search {
 
 /// Whether nobody has sent anything so far, and nobody acknowledges a selection, as the adapter reports.
 fn is_deserted(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
-    if !session.bus.states.is_empty() || session.bus.slowest_answer().is_some() {
+    if !session.bus.heard.is_empty() || session.bus.slowest_answer().is_some() {
         return Ok(false);
     }
     session.bus.status()?;

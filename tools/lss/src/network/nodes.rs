@@ -28,6 +28,7 @@ pub type Nodes = BTreeMap<u8, Vec<u32>>;
 /// The nodes that answer.
 pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
     session.bus.take_unasked();
+    session.bus.has_dropped = false;
     let mut answers = Vec::new();
     let mut asked = Vec::new();
     for round in 0..ROUNDS {
@@ -41,6 +42,13 @@ pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
             session.bus.pass(wait)?;
         }
         answers.extend(identities(session, SERIAL_NUMBER));
+    }
+    if session.bus.has_dropped {
+        return Err(Failure::Refused(
+            "more messages of nodes come than can be kept, and answers are among those that were dropped: it is not known \
+             who is there. Stop the nodes that send most (lss stop NODE)"
+                .into(),
+        ));
     }
     let mut nodes = Nodes::new();
     for (id, number) in &answers {

@@ -9,7 +9,7 @@ use super::nodes;
 use crate::{failure::Failure, session::Session};
 
 /// The wait for a frame on a bus where nodes send heartbeats, in general one a second.
-const HEARTBEAT: Duration = Duration::from_millis(1150);
+pub const HEARTBEAT: Duration = Duration::from_millis(1150);
 
 /// The time in which a frame is repeated at any bit rate.
 const REPETITION: Duration = Duration::from_millis(20);

@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use super::{
     nodes::{self, Nodes},
+    rate::HEARTBEAT,
     scan,
 };
 use crate::{address, failure::Failure, session::Session};
@@ -66,11 +67,23 @@ pub fn twins(rows: &[Row]) -> Vec<String> {
     twins.collect()
 }
 
-/// All nodes: those with a node-ID by SDO, the others by Fastscan. No state is changed.
-pub fn rows(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+/// All nodes: those with a node-ID by SDO, or as far as they were heard; the others by Fastscan. No state is changed.
+/// What is not clear comes to the `problems`, in words.
+pub fn rows(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Vec<Row>, Failure> {
     let nodes = nodes::nodes(session)?;
     let mut rows = of(session, nodes)?;
-    rows.extend(blank(session)?);
+    rows.extend(blank(session, problems)?);
+    if rows.is_empty() {
+        session.bus.pass(HEARTBEAT)?;
+    }
+    for &id in session.bus.heard.keys() {
+        if rows.iter().all(|row| row.node_id != Some(id)) {
+            let state = heard_state(session, id);
+            let bit_rate = session.bus.rate().kbit_per_s();
+            rows.push(Row { node_id: Some(id), state, bit_rate, ..Row::default() });
+        }
+    }
+    rows.sort_by_key(|row| (row.node_id.is_none(), row.node_id));
     Ok(rows)
 }
 
@@ -85,17 +98,19 @@ pub fn of(session: &mut Session<'_>, nodes: Nodes) -> Result<Vec<Row>, Failure> 
 }
 
 /// Those of the boards without a node-ID.
-pub fn blank(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+pub fn blank(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Vec<Row>, Failure> {
     let bit_rate = session.bus.rate().kbit_per_s();
     let mut rows = Vec::new();
-    let blank = scan::blank(session)?;
+    let blank = scan::blank(session, problems)?;
     if blank.is_empty() && scan::is_anyone_without_fastscan(session)? {
         rows.push(Row { bit_rate, ..Row::default() });
     }
     for address in blank {
-        // The scan may be wrong if answers are lost.
-        session.carry_out(SelectAlone::new(address))?;
-        let node_id = session.carry_out(InquireNodeId)?;
+        let node_id = inquired(session, address).or_else(|failure| {
+            let text = address::text(&address);
+            problems.push(format!("board {text}: {}", failure.of_board()?));
+            Ok::<_, Failure>(None)
+        })?;
         rows.push(Row {
             node_id: node_id.map(NodeId::get),
             lss_address: Some(address),
@@ -104,6 +119,23 @@ pub fn blank(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
         });
     }
     Ok(rows)
+}
+
+/// The node-ID of a board that Fastscan has found. Frames may be lost.
+fn inquired(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId>, Failure> {
+    let mut attempts = 0;
+    loop {
+        let selected = session.carry_out(SelectAlone::new(address));
+        match selected.and_then(|()| session.carry_out(InquireNodeId)) {
+            Err(Failure::NoAnswer(_)) if attempts < 2 => attempts += 1,
+            outcome => return outcome,
+        }
+    }
+}
+
+/// The NMT state that a node has reported.
+pub fn heard_state(session: &Session<'_>, id: u8) -> Option<&'static str> {
+    session.bus.heard.get(&id).copied().flatten().map(state)
 }
 
 /// The rows of a node-ID: one, or one for each node that has it.
@@ -130,7 +162,7 @@ pub fn node(
         Ok(value.map(|bytes| String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_owned()))
     };
     let (name, version) = (text(0x1008)?, text(0x100A)?);
-    let state = session.bus.states.get(&id).copied().map(state);
+    let state = heard_state(session, id);
     let bit_rate = session.bus.rate().kbit_per_s();
     let home_bit_rate = home_bit_rate(session, id)?;
     let row = |serial_number: &u32| {

@@ -4,7 +4,11 @@ use can_bus::explain;
 use canopen_node::lss::{Address, AddressPart, FastscanStep, Request};
 use lss_master::{Outcome, Procedure, Step};
 
-use crate::{address::counted, failure::Failure, session::Session};
+use crate::{
+    address::{self, counted},
+    failure::Failure,
+    session::Session,
+};
 
 /// The bit check that begins a Fastscan.
 const BEGIN: u8 = 0x80;
@@ -13,14 +17,20 @@ const RETRIES: u8 = 3;
 /// The most boards that a network has.
 const MOST: usize = 127;
 
-/// Whether a board without a node-ID is there, although Fastscan has found none.
+/// Whether a board without a node-ID is there that Fastscan has not found. An answer may be lost.
 pub fn is_anyone_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
-    Ok(session.bus.probe(Request::IdentifyNonConfigured)?.is_some())
-}
-
-/// The same after a scan that has found boards, whose answer times are known.
-pub fn is_another_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
-    session.carry_out(Probe { request: Request::IdentifyNonConfigured, caution: 1, is_sent: false })
+    let request = Request::IdentifyNonConfigured;
+    for attempt in 0..RETRIES {
+        let caution = u8::from(attempt == 0);
+        let is_there = match session.bus.slowest_answer() {
+            Some(_) => session.carry_out(Probe { request, caution, is_sent: false })?,
+            None => session.bus.probe(request)?.is_some(),
+        };
+        if is_there {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// A request to which silence is an answer, and how little it is trusted.
@@ -54,29 +64,53 @@ impl Procedure for Probe {
 ///
 /// A Fastscan as a master does it ends with one board in LSS configuration state. This one asks for both values of each
 /// bit, and never for the last confirmation: it finds them all. Then all that are found go to LSS configuration state,
-/// where they do not answer to Fastscan. Who still answers was missed, since an answer was lost or late.
-pub fn blank(session: &mut Session<'_>) -> Result<Vec<Address>, Failure> {
+/// where they do not answer to Fastscan. Who still answers was missed, since an answer was lost or late. If that does not
+/// end, the reason comes to the `problems`, and those are returned that are known.
+pub fn blank(
+    session: &mut Session<'_>,
+    problems: &mut Vec<String>,
+) -> Result<Vec<Address>, Failure> {
     let mut found: Vec<Address> = Vec::new();
     let mut contradictions = 0;
+    let mut why = String::new();
+    let mut doubtful: Vec<Address> = Vec::new();
     while contradictions < RETRIES {
         let before = found.len();
         let mut more = Vec::new();
         gather(session, &mut found)?;
         // Frames of others may have delayed answers.
         let mut scan = Scan { session, caution: contradictions };
-        let is_consistent = scan.find([0; 4], AddressPart::VendorId, &mut more)?;
+        let outcome = scan.find([0; 4], AddressPart::VendorId, &mut more);
+        let is_consistent = match outcome {
+            // A device that answers each question would do so again.
+            Err(failure @ Failure::Refused(_)) => {
+                (why, contradictions) = (failure.to_string(), RETRIES);
+                false
+            }
+            outcome => outcome?,
+        };
         more.retain(|address| !found.contains(address));
         if is_consistent && more.is_empty() {
             return Ok(found);
         }
+        doubtful.clone_from(&more);
         found.append(&mut more);
         contradictions += u8::from(!is_consistent || found.len() <= before);
     }
-    Err(Failure::Refused(
-        "the answers to Fastscan contradict each other: too many are lost or too late (--latency), or two boards have \
-         one LSS address"
-            .into(),
-    ))
+    gather(session, &mut found)?;
+    doubtful.retain(|address| !found.contains(address));
+    if why.is_empty() {
+        why = "the answers to Fastscan contradict each other: too many are lost or too late (--latency), or two boards \
+               have one LSS address"
+            .into();
+    }
+    for address in doubtful {
+        why += &format!("; board {} does not answer to its selection", address::text(&address));
+    }
+    if !problems.contains(&why) {
+        problems.push(why);
+    }
+    Ok(found)
 }
 
 /// Brings all boards that were found to LSS configuration state, and no other; forgets those that are not there.

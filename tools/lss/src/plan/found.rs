@@ -133,7 +133,7 @@ pub fn boards(session: &mut Session<'_>, files: &Files, is_plan: bool) -> Result
     let is_clear = |node: &Node| node.address().is_some() || only(node, unknown).is_ok();
     *is_scanned = is_plan || !places.iter().any(is_blank) || !files.nodes.iter().all(is_clear);
     if *is_scanned {
-        unknown.extend(others(session, places)?);
+        unknown.extend(others(session, places, problems)?);
     }
     for (node, place) in files.nodes.iter().zip(places) {
         if node.address().is_none() {
@@ -165,12 +165,16 @@ pub fn late(session: &mut Session<'_>, found: &mut Found) -> Result<Vec<Row>, Fa
         return Ok(Vec::new());
     }
     found.is_scanned = true;
-    others(session, &found.places)
+    others(session, &found.places, &mut found.problems)
 }
 
 /// The boards without a node-ID beside these.
-fn others(session: &mut Session<'_>, places: &[Option<Place>]) -> Result<Vec<Row>, Failure> {
-    let mut rows = rows::blank(session)?;
+fn others(
+    session: &mut Session<'_>,
+    places: &[Option<Place>],
+    problems: &mut Vec<String>,
+) -> Result<Vec<Row>, Failure> {
+    let mut rows = rows::blank(session, problems)?;
     let known: Vec<Address> = places.iter().flatten().map(|place| place.address).collect();
     // One that tells its address by LSS alone, and is known by that.
     let has_blank = places.iter().flatten().any(|place| place.id.is_none());

@@ -151,11 +151,8 @@ impl Work {
     /// Gives node-IDs to all boards without one.
     pub fn give_blank(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
         self.with_fastscan(session)?;
-        let is_anyone_left = match self.done.new.is_empty() {
-            _ if !self.done.held.is_empty() => false,
-            true => scan::is_anyone_without_fastscan(session)?,
-            false => scan::is_another_without_fastscan(session)?,
-        };
+        let is_anyone_left =
+            self.done.held.is_empty() && scan::is_anyone_without_fastscan(session)?;
         if is_anyone_left {
             let given = self.without_fastscan(session)?;
             if !given || scan::is_anyone_without_fastscan(session)? {
@@ -179,12 +176,18 @@ impl Work {
                 .say(|| format!("{} given; looking for another board", counted(count, "node-ID")));
             let scan = Fastscan::new();
             let scan = last.map_or(scan.clone(), |last| scan.after_slave(last));
-            let Some(address) = session.carry_out(scan)? else { return Ok(()) };
+            let address = match session.carry_out(scan) {
+                Ok(Some(address)) => address,
+                Ok(None) => return Ok(()),
+                Err(stop @ Failure::Stop(_)) => return Err(stop),
+                // A bad board spoils it: the other search finds those that it does not.
+                Err(_) => break,
+            };
             last = Some(address);
             self.selected(session, address)?;
         }
         loop {
-            let mut rest = scan::blank(session)?;
+            let mut rest = scan::blank(session, &mut self.done.problems)?;
             rest.retain(|address| !self.done.held.contains(address));
             let before = self.done.count();
             for address in rest {
@@ -207,6 +210,12 @@ impl Work {
             let mut within = Identify::product(vendor_id, product_code);
             session.progress.say(|| format!("identifying boards of product {product_code:08X}"));
             while let Some(address) = session.carry_out(Find::new(within.clone()))? {
+                // A device that answers each question has no such address.
+                if let Err(failure) = session.carry_out(SelectAlone::new(address)) {
+                    let (text, why) = (address::text(&address), failure.of_board()?);
+                    self.done.problems.push(format!("board {text}: {why}"));
+                    break;
+                }
                 self.found(session, address)?;
                 let Some(next) = address.serial_number.checked_add(1) else { break };
                 within.serial_numbers = next..=u32::MAX;

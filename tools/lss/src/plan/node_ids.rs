@@ -57,9 +57,9 @@ impl NodeIds {
         self.taken.entry(id).or_insert(1);
     }
 
-    /// Takes note of the nodes that send a heartbeat.
+    /// Takes note of the nodes that send of their own accord.
     pub fn note_heard(&mut self, session: &Session<'_>) {
-        session.bus.states.keys().for_each(|id| self.note(*id));
+        session.bus.heard.keys().for_each(|id| self.note(*id));
     }
 
     pub fn is_taken(&self, id: NodeId) -> bool {

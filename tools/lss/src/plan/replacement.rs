@@ -28,7 +28,7 @@ pub fn replace(
     let table = work.entries();
     let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
     let mut new: Vec<Address> = Vec::new();
-    for row in unknown.iter().chain(&rows::blank(session)?) {
+    for row in unknown.iter().chain(&rows::blank(session, &mut work.done.problems)?) {
         new.extend(row.lss_address.filter(|_| row.node_id.is_none_or(is_of_table)));
     }
     new.retain(|address| table.iter().all(|(_, known)| known != address));

@@ -207,7 +207,7 @@ pub fn apply(
     let mut values = compare(session, id, node, manner.trusts_stamps)?;
     let left_out = std::mem::take(&mut values.left_out);
     let has_none = node.values.is_empty() && node.stamp.is_none();
-    let state = session.bus.states.get(&id.get()).copied();
+    let state = session.bus.heard.get(&id.get()).copied().flatten();
     let mut target = Target { session, id, node, manner, state, is_paused: false, left_out };
     let done = match values.are_as_wanted() {
         _ if has_none => Done::default(),

@@ -126,3 +126,31 @@ fn the_latency_of_an_adapter_is_measured() {
     let latency = adapter.latency().expect("it is known");
     assert!((16..=17).contains(&latency.as_millis()), "{latency:?}");
 }
+
+#[test]
+fn no_answer_is_lost_among_the_process_data_of_a_running_network() {
+    let wire = Wire::new(BitRate::Kbit500, &[1, 0xFF]);
+    // 950 PDOs in a second, and answers that come late.
+    wire.load(1, 1_053, 40);
+    let assigned = lss(&wire, Firmware::FTDI, "assign --bit-rate 500");
+    assert_eq!((assigned.code, &*assigned.error), (0, ""));
+    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+    let listed = lss(&wire, Firmware::FTDI, "list --bit-rate 500");
+    assert_eq!((listed.code, listed.text.lines().count()), (0, 3), "{}", listed.error);
+}
+
+#[test]
+fn nobody_is_absent_if_messages_of_nodes_were_dropped() {
+    let wire = Wire::new(BitRate::Kbit1000, &[1, 0xFF]);
+    let mut bus = wire.bus();
+    let begin = bus.now();
+    let heartbeat = canopen_node::Frame::new(0x77F, &[5]).expect("a frame");
+    for at in (begin..begin + 10_000_000).step_by(200) {
+        bus.send_from_another_master(at, heartbeat);
+    }
+    drop(bus);
+    let assigned = lss(&wire, Firmware::FTDI, "assign --bit-rate 1000");
+    assert_eq!(assigned.code, 1, "{}", assigned.text);
+    assert!(assigned.error.contains("it is not known who is there"), "{}", assigned.error);
+    assert_eq!(wire.ids()[1], (None, None));
+}

@@ -452,3 +452,91 @@ fn a_board_with_the_serial_number_of_another_product_is_not_the_one() {
         assert!(outcome.error.starts_with("node 5 of the table is missing"), "{}", outcome.error);
     }
 }
+
+#[test]
+fn a_node_id_that_turns_out_to_be_shared_is_taken_back_and_both_boards_are_named() {
+    let wire = Wire::new(RATE, &[1, 0xFF]);
+    wire.record().may_collide = true;
+    // The other one answers first.
+    wire.bus().slaves[1].habits.other_us = 200..201;
+    // Nobody knows of it when node-ID 1 is given.
+    wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(2));
+    let outcome = wire.lss("assign");
+    let [known, new] = [0, 1].map(address_text);
+    let words = format!(
+        "board {new}: board {known} has node-ID 1, too: it was taken back from this one, which has stored that"
+    );
+    assert_eq!((outcome.code, outcome.error), (1, words));
+    wire.record().may_collide = false;
+    assert_eq!(wire.ids(), [(Some(1), Some(1)), (None, None)]);
+    wire.power_cycle();
+    assert_eq!(wire.lss("assign").code, 0);
+    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn a_node_without_sdo_is_known_by_its_heartbeat() {
+    for boards in [&[5][..], &[5, 7]] {
+        let wire = Wire::with_heartbeat(RATE, boards, 1_000);
+        wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(usize::MAX));
+        let listed = wire.lss("list");
+        assert_eq!((listed.code, listed.text.lines().count()), (0, boards.len() + 1));
+        let row = listed.text.lines().nth(1).expect("a row");
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells, ["5", "-", "-", "-", "pre-operational", "125"]);
+        let switched = wire.lss("set-rate 250");
+        assert_eq!(switched.code, 1);
+        let words = "node 5 does not tell its LSS address: it cannot be switched with the others";
+        assert!(switched.error.starts_with(words), "{}", switched.error);
+    }
+}
+
+#[test]
+fn a_board_without_fastscan_is_found_though_two_answers_are_lost() {
+    let wire = Wire::new(RATE, &[0xFF, 0xFF]);
+    let mut bus = wire.bus();
+    bus.slaves[1].habits.without = &[0x51];
+    bus.slaves[1].defect = Some(Defect::LosesAnswers(2));
+    drop(bus);
+    let outcome = wire.lss("assign");
+    assert_eq!((outcome.code, &*outcome.error), (0, ""));
+    assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn a_board_that_spoils_fastscan_is_named_and_all_others_are_finished() {
+    for defect in [Defect::IgnoresItsSelection, Defect::TellsAnotherSerialNumber] {
+        for bad in [0, 1, 2] {
+            let wire = Wire::new(RATE, &[0xFF; 3]);
+            wire.bus().slaves[bad].defect = Some(defect);
+            let listed = wire.lss("list");
+            assert_eq!(listed.code, 1, "{defect:?} {bad}");
+            let others: Vec<usize> = (0..3).filter(|board| *board != bad).collect();
+            for board in &others {
+                assert!(listed.text.contains(&address_text(*board)), "{defect:?} {bad}");
+            }
+            assert!(listed.error.contains(&address_text(bad)), "{defect:?}: {}", listed.error);
+            let outcome = wire.lss("assign");
+            assert_stored(&wire, &others);
+            // Fastscan itself brings the one that ignores its selection to LSS configuration state.
+            let is_lost = defect == Defect::TellsAnotherSerialNumber;
+            assert_eq!(outcome.code, u8::from(is_lost), "{defect:?} {bad}");
+            assert_eq!(outcome.error.contains(&address_text(bad)), is_lost, "{}", outcome.error);
+            assert_eq!(wire.ids()[bad].0.is_none(), is_lost, "{defect:?} {bad}");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_says_yes_to_each_question_is_named_and_the_boards_of_the_table_are_finished() {
+    let table = new_file("yes.toml");
+    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let wire = Wire::new(RATE, &[0xFF, 0xFF, 5]);
+    wire.bus().slaves[1].habits.claims_all = true;
+    let outcome = wire.lss(&format!("assign --table {}", table.display()));
+    assert_eq!((outcome.code, wire.ids()[0]), (1, (Some(7), Some(7))), "{}", outcome.error);
+    assert!(outcome.error.contains("a device answers each question"), "{}", outcome.error);
+    let listed = wire.lss("list");
+    assert_eq!((listed.code, listed.text.lines().count()), (1, 4), "{}", listed.text);
+    assert!(listed.error.contains("a device answers each question"), "{}", listed.error);
+}

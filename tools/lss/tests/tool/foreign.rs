@@ -195,14 +195,14 @@ fn a_device_that_answers_every_fastscan_question_ends_the_scan() {
         for (command, words) in [
             ("list", "more than 127 boards answer to Fastscan"),
             ("set-rate 500", "more than 127 boards answer to Fastscan"),
-            ("assign", "the answers contradict each other"),
+            ("assign", "more than 127 boards answer to Fastscan"),
         ] {
             let slaves = Slaves::new(habits.clone());
             let outcome = slaves.lss(command);
             assert_eq!(outcome.code, 1);
             assert!(outcome.error.starts_with(words), "{}", outcome.error);
             let ms = slaves.adapter.bus().now() / 1_000;
-            assert!(ms < 20_000, "{ms} ms");
+            assert!(ms < 25_000, "{ms} ms");
         }
     }
 }
