@@ -9,7 +9,7 @@ use canopen_node::{
 pub type Node = canopen_node::Node<Application>;
 
 /// The emergency error code of the first sensor; those of the others follow.
-pub const SENSOR_FAULT: u16 = 0x5031;
+pub const SENSOR_FAULT: u16 = canopen_node::error_code!(0x5031);
 /// The bit of the error register 1001h for errors of a device profile.
 pub const DEVICE_PROFILE: u8 = 1 << 5;
 
