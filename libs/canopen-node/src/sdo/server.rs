@@ -13,10 +13,6 @@ use crate::{
     object_dictionary::{Access, Entry},
 };
 
-/// The number of segments of a block upload that may wait for the bus: the second is there when the first has left,
-/// and an LSS answer waits for two frames at most.
-const SEGMENTS_PENDING: u8 = 2;
-
 /// A client sends the segments of a block without waiting. Those that arrive after the transfer has ended must not be
 /// executed as requests, and CiA 301 gives them nothing that a request cannot have. So until the last one, an abort, or
 /// this time without a message nothing is executed, however many segments are lost: the client of a request will repeat
@@ -37,8 +33,8 @@ pub(crate) struct Server<B> {
     buffer: B,
     /// The time of the last progress of the transfer.
     since: Instant,
-    /// The number of segments that may be sent until [`note_sent`](Self::note_sent).
-    credit: u8,
+    /// Whether the next segment of a block may be sent: none of those before waits.
+    is_clear: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +62,7 @@ impl<B: Buffer> Server<B> {
         rest_until: None,
         buffer: B::EMPTY,
         since: Instant::from_micros(0),
-        credit: 0,
+        is_clear: false,
     };
 
     /// Discards the request and the current transfer without an answer to the client.
@@ -143,7 +139,7 @@ impl<B: Buffer> Server<B> {
 
     /// Records that no frame of the node waits for the bus.
     pub const fn note_sent(&mut self) {
-        self.credit = SEGMENTS_PENDING;
+        self.is_clear = true;
     }
 
     fn answer<O: Objects>(&mut self, objects: &mut O, now: Instant) -> Option<Message> {
@@ -294,7 +290,7 @@ impl<B: Buffer> Server<B> {
         match transfer.advance(request, objects, self.buffer.as_mut()) {
             Ok((answer, is_over)) => {
                 // The segments before a message of the client have been sent.
-                self.credit = SEGMENTS_PENDING;
+                self.is_clear = true;
                 if is_over {
                     self.transfer = None;
                 }
@@ -309,10 +305,10 @@ impl<B: Buffer> Server<B> {
         let deadline = self.poll_at::<O>()?;
         let code = match &mut self.transfer {
             Some(Transfer::BlockUpload(upload))
-                if O::BLOCK_UPLOAD && upload.is_sending() && self.credit > 0 =>
+                if O::BLOCK_UPLOAD && upload.is_sending() && self.is_clear =>
             {
                 self.since = now;
-                self.credit = self.credit.saturating_sub(1);
+                self.is_clear = false;
                 match upload.next_segment(objects, self.buffer.as_ref()) {
                     Ok(segment) => return Some(segment),
                     Err(code) => code,
