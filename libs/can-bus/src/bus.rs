@@ -32,6 +32,8 @@ const SWITCH_STATE_GLOBAL: u8 = 0x04;
 const INQUIRE_SERIAL_NUMBER: u8 = 0x5D;
 /// The longest wait between two looks at Ctrl-C.
 const SLICE: Duration = Duration::from_millis(50);
+/// The number of sent frames by which an echo is known.
+const ECHOES: usize = 16;
 /// The number of unasked frames that are kept.
 const KEPT: usize = 1000;
 
@@ -48,6 +50,9 @@ pub struct Bus {
     /// The request of another master that waits.
     other_master: Option<Frame>,
     pace: Pace,
+    /// The last frames sent that have not come back, and whether one has: the adapter may echo what it sends.
+    sent: VecDeque<Frame>,
+    has_echo: bool,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
     /// Frames were dropped that nodes sent of themselves: who seems to be silent may have answered.
@@ -155,6 +160,8 @@ impl Bus {
             minded: Masters::All,
             other_master: None,
             pace: Pace::Patient,
+            sent: VecDeque::new(),
+            has_echo: false,
             unasked: VecDeque::new(),
             has_dropped: false,
             heard: BTreeMap::new(),
@@ -247,7 +254,11 @@ impl Bus {
 
     /// What a person must know of the adapter, as far as that has shown.
     pub fn remarks(&self) -> Vec<String> {
-        self.adapter.doubts()
+        let mut remarks = self.adapter.doubts();
+        if self.has_echo {
+            remarks.push("frames come back as they were sent: the adapter echoes, or another master does the same".into());
+        }
+        remarks
     }
 
     /// The adapter and its version, for a person.
@@ -257,6 +268,8 @@ impl Bus {
 
     pub fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
         self.check_interrupt()?;
+        self.sent.truncate(ECHOES - 1);
+        self.sent.push_front(*frame);
         self.adapter.send(frame)
     }
 
@@ -475,6 +488,11 @@ impl Bus {
 
     fn note(&mut self, received: &Received) -> Result<(), Stop> {
         let frame = &received.frame;
+        if let Some(at) = self.sent.iter().rposition(|sent| sent == frame) {
+            self.sent.remove(at);
+            self.has_echo = true;
+            return Ok(());
+        }
         match (frame.cob_id(), frame.data()) {
             (0x701..=0x77F, &[state]) => {
                 self.heard.insert((frame.cob_id() & 0x7F) as u8, Some(state));

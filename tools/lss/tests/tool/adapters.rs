@@ -154,3 +154,12 @@ fn nobody_is_absent_if_messages_of_nodes_were_dropped() {
     assert!(assigned.error.contains("it is not known who is there"), "{}", assigned.error);
     assert_eq!(wire.ids()[1], (None, None));
 }
+
+#[test]
+fn an_adapter_that_echoes_is_no_other_master() {
+    let wire = Wire::new(RATE, &[0xFF, 5, 0xFF]);
+    let assigned = lss(&wire, Firmware::ECHO, "assign");
+    assert_eq!((assigned.code, &*assigned.error), (0, ""));
+    assert_eq!(assigned.remarks.len(), 1, "{:?}", assigned.remarks);
+    assert!(assigned.remarks[0].contains("the adapter echoes"), "{:?}", assigned.remarks);
+}
