@@ -92,6 +92,9 @@ fn without_an_acknowledge_one_emergency_waits_for_the_bus_however_many_faults() 
         assert_eq!(report(&mut board, Fault::ErrorPassive), SILENCE);
     }
     board.is_acknowledged = true;
+    for other in [Service::Lss, Service::BootUp, Service::Sdo, Service::Heartbeat, Service::Tpdo] {
+        assert_eq!(board.acknowledge(other), SILENCE, "{other:?} is another frame's");
+    }
     assert_eq!(board.acknowledge(Service::Emergency), [ERROR_PASSIVE, BUS_OFF_RECOVERED]);
 }
 
