@@ -289,7 +289,7 @@ fn different_answer_times_and_lost_late_and_doubled_frames_do_not_spoil_a_commis
     for number in 0..25 {
         let mut bus = bus(neighbours(&mut random, 6));
         if number < 20 {
-            bus.faults = Faults { lost: 300, doubled: 100, late: 200, late_us: 3_000 };
+            bus.faults = Faults { lost: 150, doubled: 100, late: 200, late_us: 3_000 };
         } else {
             for slave in &mut bus.slaves {
                 slave.habits.answer_us = exactly(random.within(50..8_000));
