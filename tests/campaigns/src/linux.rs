@@ -51,8 +51,9 @@ const TO_HOST: &str = "host: ";
 pub struct Arguments {
     /// Run this program of this computer, with its arguments, in place of the sessions
     ///
-    /// It finds slcan0 at 125 kbit/s, and two blank boards. To switch the power of a board it prints `host: power off 0`
-    /// and waits for an empty line.
+    /// It finds slcan0 at 125 kbit/s, and two blank boards, whose serial numbers are the first two in the variable
+    /// `serial_numbers`. A request is answered after 45 ms: the serial line has 115,200 baud. To switch
+    /// the power of a board it prints `host: power off 0` and waits for an empty line.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     program: Vec<String>,
 }
