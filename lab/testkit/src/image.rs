@@ -110,7 +110,8 @@ impl Product {
     }
 }
 
-/// The chip of a product in `Cargo.toml`, and its controller in `src/pins.rs`, to whose interrupts `src/main.rs` must bind.
+/// The chip of a product in `Cargo.toml`, and its controller in `src/pins.rs`, to whose interrupts `src/main.rs` must bind,
+/// and `src/loader.rs` if the product has one.
 pub(crate) fn board_of(directory: &Path) -> anyhow::Result<(Part, u8)> {
     board_with(|path| {
         fs::read_to_string(directory.join(path)).with_context(|| format!("cannot read {path}"))
@@ -120,16 +121,21 @@ pub(crate) fn board_of(directory: &Path) -> anyhow::Result<(Part, u8)> {
 pub(crate) fn board_with(
     read: impl Fn(&str) -> anyhow::Result<String>,
 ) -> anyhow::Result<(Part, u8)> {
-    let chip = Chip::of_manifest(&read("Cargo.toml")?);
+    let manifest = read("Cargo.toml")?;
+    let chip = Chip::of_manifest(&manifest);
     let chip = chip.context("the feature `chip` of Cargo.toml names no chip")?;
-    let (pins, main) = (read("src/pins.rs")?, read("src/main.rs")?);
+    let pins = read("src/pins.rs")?;
     let can = pins.split("type Can = pac::CAN").nth(1).and_then(|rest| rest.get(..1));
     let can = can.context("src/pins.rs has no `type Can = pac::CAN1`, or CAN2 or CAN3")?;
-    for interrupt in ["RX0", "TX", "SCE"].map(|name| format!("CAN{can}_{name}")) {
-        ensure!(
-            main.contains(&format!("binds = {interrupt},")),
-            "src/main.rs binds no task to {interrupt}, an interrupt of CAN{can} in src/pins.rs"
-        );
+    let loader = Some("src/loader.rs").filter(|path| manifest.contains(path));
+    for path in ["src/main.rs"].into_iter().chain(loader) {
+        let program = read(path)?;
+        for interrupt in ["RX0", "TX", "SCE"].map(|name| format!("CAN{can}_{name}")) {
+            ensure!(
+                program.contains(&format!("binds = {interrupt},")),
+                "{path} binds no task to {interrupt}, an interrupt of CAN{can} in src/pins.rs"
+            );
+        }
     }
     let part = chip.feature.parse().map_err(anyhow::Error::msg)?;
     Ok((part, can.parse().context("the number of a CAN controller")?))

@@ -325,6 +325,7 @@ mod tests {
         controller: u8,
         git: Option<&str>,
         folder: &Path,
+        has_update: bool,
     ) -> Vec<(&'static str, String)> {
         let product = Product {
             name: "door-lock",
@@ -332,7 +333,7 @@ mod tests {
             controller,
             git,
             folder,
-            has_update: false,
+            has_update,
             is_signed: false,
         };
         product.files().expect("this repository has what a product needs")
@@ -345,7 +346,7 @@ mod tests {
     #[test]
     fn the_template_has_all_its_files_and_they_have_no_gaps() {
         let folder = Path::new("/products/door-lock");
-        for (path, content) in files(Part::Stm32f413, 3, None, folder) {
+        for (path, content) in files(Part::Stm32f413, 3, None, folder, false) {
             assert!(path == "Cargo.lock" || !content.contains('@'), "{path}: {content}");
         }
         let tracked = Command::new("git")
@@ -381,7 +382,7 @@ mod tests {
 
     #[test]
     fn the_chip_is_the_one_of_the_manifest_and_the_controller_that_of_the_pins() {
-        let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"));
+        let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"), false);
         let read = |path: &str| Ok(content(&files, path).to_owned());
         let (part, controller) = image::board_with(read).expect("both are there");
         assert_eq!((part, controller), (Part::Stm32f413, 3));
@@ -393,19 +394,22 @@ mod tests {
 
     #[test]
     fn an_interrupt_of_another_controller_is_named() {
-        let files = files(Part::Stm32f446, 2, None, Path::new("/products/door-lock"));
-        let read = |path: &str| match path {
-            "src/main.rs" => Ok(content(&files, path).replace("CAN2_SCE", "CAN1_SCE")),
-            _ => Ok(content(&files, path).to_owned()),
-        };
-        let error = image::board_with(read).expect_err("the board would answer nothing");
-        let text = "src/main.rs binds no task to CAN2_SCE, an interrupt of CAN2 in src/pins.rs";
-        assert_eq!(error.to_string(), text);
+        let folder = Path::new("/products/door-lock");
+        let files = files(Part::Stm32f446, 2, None, folder, true);
+        for program in ["src/main.rs", "src/loader.rs"] {
+            let read = |path: &str| match content(&files, path) {
+                text if path == program => Ok(text.replace("CAN2_SCE", "CAN1_SCE")),
+                text => Ok(text.to_owned()),
+            };
+            let error = image::board_with(read).expect_err("the board would answer nothing");
+            let text = " binds no task to CAN2_SCE, an interrupt of CAN2 in src/pins.rs";
+            assert_eq!(error.to_string(), format!("{program}{text}"));
+        }
     }
 
     #[test]
     fn the_editor_of_a_product_checks_it_for_its_chip() {
-        let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"));
+        let files = files(Part::Stm32f413, 3, None, Path::new("/products/door-lock"), false);
         let settings = content(&files, ".vscode/settings.json");
         let manifest: Table = content(&files, "Cargo.toml").parse().expect("TOML");
         let of_program = &manifest["bin"][0]["required-features"][0];
@@ -416,7 +420,7 @@ mod tests {
     #[test]
     fn the_manifest_names_this_repository_by_path_or_by_url() {
         let beside = workspace().parent().expect("not the root").join("door-lock");
-        let files_beside = files(Part::Stm32f446, 1, None, &beside);
+        let files_beside = files(Part::Stm32f446, 1, None, &beside, false);
         let manifest: Table = content(&files_beside, "Cargo.toml").parse().expect("TOML");
         let here = workspace().file_name().and_then(|name| name.to_str()).expect("UTF-8");
         let library = &manifest["dependencies"]["canopen-node"];
@@ -425,7 +429,8 @@ mod tests {
         assert_eq!(feature[0].as_str(), Some("canopen-stm32f4/stm32f446"));
 
         let url = "https://example.org/lss-slave.git";
-        let files_of_url = files(Part::Stm32f446, 1, Some(url), Path::new("/products/door-lock"));
+        let files_of_url =
+            files(Part::Stm32f446, 1, Some(url), Path::new("/products/door-lock"), false);
         assert!(content(&files_of_url, OF_GIT).contains("run: bash ci.sh"));
         assert!(
             !files_beside.iter().any(|(path, _)| *path == OF_GIT),
