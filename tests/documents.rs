@@ -9,15 +9,18 @@ use std::{
 use testkit::{cargo::workspace, eds::ours};
 
 /// The directories with documents.
-const DIRECTORIES: [&str; 8] = [
+const DIRECTORIES: [&str; 11] = [
     "",
     "docs",
     "examples/commissioner",
+    "libs/can-bus",
     "libs/canopen-node",
     "libs/lss-master",
     "libs/lss-slave",
+    "libs/program-update",
     "fuzz",
     "tests/clients",
+    "tools/lss",
 ];
 /// Directories that commands make.
 const MADE: [&str; 2] = ["target/", "fuzz/artifacts/"];
@@ -164,6 +167,34 @@ fn the_rust_of_the_readme_is_compiled() {
     let (shown, _) = blocks.next().expect("it shows Rust");
     assert!(tested.replace("//!", "").contains(shown), "the documentation of src/application.rs");
     assert!(blocks.next().is_none());
+}
+
+#[test]
+fn every_package_for_others_says_what_it_is_and_how_it_is_added() {
+    let read = |path: &str| fs::read_to_string(workspace().join(path)).unwrap_or_default();
+    let manifest = read("Cargo.toml");
+    let members = manifest.lines().find(|line| line.starts_with("members = ")).expect("members");
+    let mut faults = Vec::new();
+    for folder in members.split('"').filter(|member| member.contains('/')) {
+        let manifest = read(&format!("{folder}/Cargo.toml"));
+        let of_name = manifest.lines().find_map(|line| line.strip_prefix("name = \""));
+        let name = of_name.expect("a name").trim_end_matches('"');
+        if manifest.contains("publish = false") {
+            continue;
+        }
+        let words =
+            ["description = ", "keywords = ", "categories = ", "[package.metadata.docs.rs]"];
+        let missing = words.into_iter().filter(|word| !manifest.contains(word));
+        faults.extend(missing.map(|word| format!("{folder}/Cargo.toml: {word}")));
+        let added = ["add", "install"].map(|verb| format!("\ncargo {verb} {name}\n"));
+        let readme = read(&format!("{folder}/README.md"));
+        if !added.iter().any(|command| readme.contains(command)) {
+            faults.push(format!("{folder}/README.md: {}", added[0].trim()));
+        }
+        let licences = ["LICENSE-APACHE", "LICENSE-MIT"].map(|name| format!("{folder}/{name}"));
+        faults.extend(licences.into_iter().filter(|path| read(path).is_empty()));
+    }
+    assert_none(&faults);
 }
 
 #[test]
