@@ -1,5 +1,21 @@
 //! The bxCAN as the runner drives it, by the driver of embassy-stm32. The registers are accessed for what that does not
 //! offer: error counters, the level of the bus, and to abort a frame or to change the bit rate without a wait.
+//!
+//! What the driver of embassy-stm32 0.6.0 does, and the way round:
+//!
+//! - A change of the bit rate waits for the end of the traffic, and `enable` for an idle bus. So the port calls
+//!   `rcc::enable_and_reset`, writes CAN_IER as it was, and polls `enable` once.
+//! - `abort` waits while its frame is on the bus. The port sets the bit ABRQ in CAN_TSR.
+//! - Its interrupt clears the flag that tells a sent frame from an aborted one. The port notes what it aborts.
+//! - `try_write` takes a less urgent frame out of a full controller. A frame is offered only if a mailbox is empty and
+//!   the others have less urgent ones.
+//! - It has no error counters, no state and no level of the bus. They are in CAN_ESR and CAN_MSR.
+//! - `BufferedCan` drops the errors of the bus. `CanRx::read` of the driver without buffers has them.
+//! - `Frame::data` panics if the length code is above 8, which is legal on the wire. `header().len()` comes first.
+//! - `set_automatic_retransmit` writes its argument to NART, which means the opposite (RM0090, 32.9.2).
+//! - It does not report an overrun, so object 2000h does not count it.
+//! - In silent mode and during a reset the transmit pin stays with the controller, which drives it dominant on some
+//!   chips. The driver keeps the pin, so there is no way round.
 
 use canopen_node::{
     BitRate, Frame, Numbers, Receives, Service, Services,

@@ -1,4 +1,12 @@
 //! The chip on its board: the file that its feature chooses.
+//!
+//! The flash drivers of embassy-stm32 0.6.0, and the way round:
+//!
+//! - On an STM32F4 it programs words, for a supply of at least 2.7 V, and does not reset the data cache of a chip with
+//!   one bank. That cache is off by default, and stays so. On an STM32L4 the port switches it off.
+//! - On an STM32G0, G4 and L4 a double word whose programming was interrupted raises an NMI when it is read. The handler
+//!   clears the flag, and resets the chip for any other cause.
+//! - On an STM32H7 it is a bus fault. The port reads with FAULTMASK and BFHFNMIGN set.
 
 #[cfg_attr(feature = "stm32f105", path = "chip/stm32f105.rs")]
 #[cfg_attr(feature = "stm32f407", path = "chip/stm32f407.rs")]

@@ -1,4 +1,5 @@
-//! The crystal: its start, and the reset if it does not start or is not in use.
+//! The crystal: its start, and the reset if it does not start or is not in use. embassy-stm32 would wait
+//! for it without a limit, and does not look at the clock that comes of it.
 
 use cortex_m::peripheral::SCB;
 use embassy_stm32::{

@@ -1,6 +1,18 @@
 //! The FDCAN as the runner drives it, by the driver of embassy-stm32. The registers are accessed for what that does not
 //! offer: which buffer takes a frame and whether it was sent, the level of the bus, and to abort a frame or to hear of
 //! an error.
+//!
+//! What the driver of embassy-stm32 0.6.0 does, and the way round:
+//!
+//! - A driver that runs cannot change the bit rate. It is dropped and made anew.
+//! - `write` takes a more urgent frame out of a full controller. A frame is offered only if a buffer is empty.
+//! - It tells neither its buffer nor whether the frame was sent, and has no `abort`; `flush` looks at the wrong buffer.
+//!   FDCAN_TXFQS, TXBRP, TXBTO and TXBCR tell.
+//! - An error of the bus wakes nobody, and a look at the state clears it. The interrupt PEA has a handler beside the
+//!   driver's, and FDCAN_PSR is read at one place, which keeps LEC.
+//! - A frame with a length code above 8 is taken out and not returned. It counts as a frame of no use.
+//! - Remote frames with a length are sent as data frames. A node sends none.
+//! - `rcc.boost`, for more than 150 MHz, does not boost. The chips run at 150 MHz at most.
 
 use core::{cell::Cell, future::poll_fn, task::Poll};
 

@@ -1,5 +1,15 @@
 //! The TWAI controller, by the driver of esp-hal. What the driver does not offer comes from the registers: whether a
 //! frame was sent, aborts, the kind of an error, and recovery from bus-off.
+//!
+//! What the driver of esp-hal 1.2.2 does, and the way round:
+//!
+//! - A driver that runs cannot change the bit rate or the mode. It is dropped and made anew.
+//! - It does not tell whether a frame was sent, and has no abort. TWAI_STATUS_REG and TWAI_CMD_REG do, by
+//!   `TWAI0::regs()`.
+//! - Its interrupt drops the kind of an error. The loop polls TWAI_ERR_CODE_CAP_REG in place of it.
+//! - The remains of a lost frame stay, and each `receive` fails again. TWAI_CMD_REG releases the buffer.
+//! - Bus-off lasts until `initiate_recovery`. Each look at the errors writes TWAI_MODE_REG.
+//! - A bit error has no level. Its place in the frame tells most of it.
 
 use canopen_node::{
     BitRate, Frame, Numbers, Receives, Service, Services,

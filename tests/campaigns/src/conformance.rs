@@ -64,7 +64,7 @@ const QUICK: [&str; 10] = [
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Write the index of cases and tests into docs/conformance.md, and run nothing
+    /// Write the index of cases into docs/conformance.md, and run nothing
     #[arg(long)]
     index: bool,
     /// Run only this image: default, io or thermo; can be repeated

@@ -41,14 +41,21 @@ fn with_outputs(page: &str) -> anyhow::Result<String> {
     Ok(new)
 }
 
-/// What a command prints, without what only the runner of tests says.
+/// What a command prints, without what only the runner of tests says. Behind ` | grep -E ` stand the words of which each
+/// line must have one: `'flash|RAM'`.
 fn output(command: &str) -> anyhow::Result<String> {
     println!("{command}");
+    let (command, wanted) = command.split_once(" | grep -E ").unwrap_or((command, ""));
     let mut words = command.split_whitespace();
     ensure!(words.next() == Some("cargo"), "not a command of cargo: {command}");
-    Ok(figures(&tool::output(
-        cargo().args(words).envs([("RUST_TEST_THREADS", "1"), ("SEED", "1")]),
-    )?))
+    let output =
+        tool::output(cargo().args(words).envs([("RUST_TEST_THREADS", "1"), ("SEED", "1")]))?;
+    Ok(with_any_of(&figures(&output), wanted.trim_matches('\'')))
+}
+
+fn with_any_of(lines: &str, words: &str) -> String {
+    let has_any = |line: &&str| words.split('|').any(|word| line.contains(word));
+    lines.lines().filter(has_any).map(|line| format!("{line}\n")).collect()
 }
 
 fn figures(output: &str) -> String {

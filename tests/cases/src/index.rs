@@ -1,4 +1,4 @@
-//! The index of cases and tests that ends `docs/conformance.md`, made of what stands in the code.
+//! The index of cases that ends `docs/conformance.md`, made of what stands in the code.
 
 use std::{
     fs, io,
@@ -11,17 +11,6 @@ use crate::{APPLICATION_LAYER, Group, OWN, lss::LSS};
 pub const PAGE: &str = "docs/conformance.md";
 /// What follows on the page is made.
 const BEGIN: &str = "<!-- `cargo verify conformance --index` writes what follows. -->\n";
-/// The folders with tests, each with a heading.
-const TESTS: [(&str, &str); 7] = [
-    ("tests/library", "Tests of the libraries, by frames in and frames out"),
-    ("tests/image", "Tests of the release images on emulated boards"),
-    ("libs/lss-master/tests", "Tests of the master"),
-    ("libs/program-update/tests/update", "Tests of program updates"),
-    ("tests/cases/tests/sabotage", "Tests of the cases"),
-    ("tests/model/tests", "Tests of a small network as a model"),
-    ("tests", "Further tests"),
-];
-
 /// The page as it is below this root, and as it must be.
 ///
 /// # Errors
@@ -29,7 +18,7 @@ const TESTS: [(&str, &str); 7] = [
 pub fn pages(root: &Path) -> io::Result<(String, String)> {
     let page = fs::read_to_string(root.join(PAGE))?;
     let prose = page.split_once(BEGIN).map_or(&page[..], |(prose, _)| prose);
-    let made = format!("{prose}{BEGIN}{}{}", cases(root)?, tests(root)?);
+    let made = format!("{prose}{BEGIN}{}", cases(root)?);
     Ok((page, made))
 }
 
@@ -94,40 +83,6 @@ fn about(source: &str) -> String {
     }
 }
 
-fn tests(root: &Path) -> io::Result<String> {
-    let mut text = String::from("\n## Tests\n");
-    for (folder, heading) in TESTS {
-        text += &format!("\n{heading}, in `{folder}/`:\n\n");
-        for (path, source) in sources(&root.join(folder))? {
-            if !source.contains("\n#[test]\n") {
-                continue;
-            }
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let sentence = sentence(&source);
-            // The source of a rule stands in the file.
-            let about = sentence.split_once(" (").map_or(&sentence[..], |(about, _)| about);
-            let about = about.split_once(": ").map_or(about, |(about, _)| about);
-            text += &wrapped(&format!("- `{name}`: {about}"));
-        }
-    }
-    Ok(text)
-}
-
-/// An item of a list, in lines of at most 120 characters.
-fn wrapped(item: &str) -> String {
-    let (mut lines, mut column) = (String::new(), 0);
-    for word in item.split(' ') {
-        let separator = match column {
-            0 => "",
-            column if column + word.len() < 120 => " ",
-            _ => "\n  ",
-        };
-        column = if separator.len() > 1 { 2 } else { column + separator.len() } + word.len();
-        lines = lines + separator + word;
-    }
-    lines + "\n"
-}
-
 #[cfg(test)]
 mod tests {
     use testkit::cargo::workspace;
@@ -135,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_index_of_cases_and_tests_is_that_of_the_code() {
+    fn the_index_of_cases_is_that_of_the_code() {
         let (page, made) = pages(workspace()).expect("the sources");
         assert!(page == made, "cargo verify conformance --index writes it");
     }
