@@ -1,11 +1,11 @@
-"""Makes the changes of one step of docs/tutorial.md in a product: apply_tutorial.py STEP FOLDER."""
+"""Makes the changes of one step of docs/product.md in a product: apply_tutorial.py STEP FOLDER."""
 
 import pathlib
 import re
 import sys
 
 step, folder = sys.argv[1], pathlib.Path(sys.argv[2])
-tutorial = pathlib.Path(__file__).parent.with_name("docs") / "tutorial.md"
+tutorial = pathlib.Path(__file__).parent.with_name("docs") / "product.md"
 sections = re.split(r"^## (\d)\. ", tutorial.read_text(), flags=re.M)
 text = sections[sections.index(step) + 1]
 
@@ -16,7 +16,7 @@ def place(lines, wanted, start):
     for at in range(start, len(lines)):
         if [line.strip() for line in lines[at : at + len(wanted)]] == wanted:
             return at
-    sys.exit(f"docs/tutorial.md, step {step}: these lines are not in {path}:\n" + "\n".join(wanted))
+    sys.exit(f"docs/product.md, step {step}: these lines are not in {path}:\n" + "\n".join(wanted))
 
 
 for listing in re.finditer(r"```diff\n(.*?)```", text, flags=re.S):

@@ -30,9 +30,9 @@ pub const DEVICE: Device = Device::new(
 // Manufacturer hardware and software version, objects 1009h and 100Ah.
 .with_versions("1.0", env!("CARGO_PKG_VERSION"))
 // Bit-rate supervision: a device whose rate no frame has proven since power-on searches for the rate of the others
-// after an error. A proven rate is never left: docs/bit-rates.md.
+// after an error. A proven rate is never left: docs/reference.md.
 .with_rescue(!cfg!(feature = "plain"))
-// LSS lock, which refuses LSS configuration while the node is NMT operational: docs/threat-model.md.
+// LSS lock, which refuses LSS configuration while the node is NMT operational: docs/reference.md.
 .with_lss_lock(false);
 
 /// The settings of a new device, until an LSS master stores others.
@@ -47,7 +47,7 @@ const _: () =
     assert!(BIT_RATES.offers(DEFAULTS.bit_rate), "BIT_RATES does not offer DEFAULTS.bit_rate");
 
 /// The crystal (HSE) in Hz: a whole number of MHz from 4 to 26. There is no operation without one
-/// (docs/bit-rates.md).
+/// (docs/reference.md).
 pub const CRYSTAL_HZ: u32 = 8_000_000;
 /// Whether the clock is external (a Nucleo's ST-LINK, an oscillator) instead of a crystal. Otherwise a start takes 100 ms
 /// longer, and the log says so.

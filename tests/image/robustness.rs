@@ -201,7 +201,7 @@ fn a_full_log_refuses_with_17_02_until_the_next_power_on_makes_room() {
         rig.lss("17")
     };
     let stored = (0..1_100).take_while(|&n| store(&mut rig, n) == ["17 00"]).count();
-    // At least a bank: docs/settings.md.
+    // At least a bank: docs/reference.md.
     assert!((400..=802).contains(&stored), "{stored} stores");
     assert_eq!(store(&mut rig, stored), ["17 02"]);
     rig.power_cycle(0);

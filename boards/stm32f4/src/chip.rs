@@ -143,7 +143,7 @@ pub const UNIQUE_ID: usize = 0x1FFF_7A10;
 pub const SETTINGS: *mut u32 = 0x0800_4000 as *mut u32;
 
 /// The clock of the CAN controllers in Hz: the only whole number of MHz up to 50 with which all eight bit rates are
-/// exact and tolerate crystals that are 0.5 % off (docs/bit-rates.md).
+/// exact and tolerate crystals that are 0.5 % off (docs/reference.md).
 pub const APB1_HZ: u32 = 40_000_000;
 
 /// The core clock of a chip in Hz, legal without over-drive and at the voltage scale that it has after a reset. Chips

@@ -34,7 +34,7 @@ pub struct Device {
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
     /// Bit-rate supervision: after lasting errors without a valid frame, the node searches for the rate of the other
-    /// nodes (see `docs/bit-rates.md`).
+    /// nodes (see `docs/reference.md`).
     pub rescue: bool,
     /// LSS lock: the LSS state stays waiting while the node is NMT operational, so that nobody configures a running
     /// machine.

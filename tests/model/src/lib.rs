@@ -1,5 +1,39 @@
 //! A small network as a model for a checker: every reachable state of boards with the real node, of faults, and of an
-//! LSS master (`docs/extended-test-runs.md`).
+//! LSS master.
+//!
+//! The nodes are [`canopen_node::Node`] itself, with bit-rate supervision unless a scenario says otherwise; nothing of
+//! their logic is copied. The state of a node is what `Debug` shows, with instants relative to now. A run is limited to a
+//! number of procedures and of faults. `cargo test --profile model --package network-model` tries a share and the
+//! mutations, `cargo model` all scenarios, each up to 2,000,000 states, breadth first; it prints which are complete.
+//!
+//! # What happens in it
+//! - The master switches a board to LSS configuration state by its address or by Fastscan, gives it the node-ID of its
+//!   address and stores it; switches the bit rate of all, with a delay of 10 ms, and stores it; sends NMT reset
+//!   communication. Another master takes over at any point, at either bit rate.
+//! - Frames are sent; doubled by a retransmission; repeated for 1.2 s while a board at another bit rate destroys them or
+//!   nobody acknowledges them. An answer is delayed, doubled, or missed by the master, which gives up waiting.
+//! - Power fails and returns at any point. A store takes any time, may fail, and may be completed in a power cut.
+//! - The next deadline of a board arrives. Each board has its own clock, so the boards leave a switch in any order.
+//!
+//! # Properties
+//! Each comes with mutations at the interface of the node ([`mutation`]) that the checker must find.
+//!
+//! - [`KEPT`]: what a power-on would find is what `17 00` confirmed, or what was requested after that.
+//! - [`FOUND`]: from each state, or a sample of them, a master without further faults selects every board, in up to 40 s
+//!   at each bit rate.
+//! - [`ONE_SELECTED`], after a complete Fastscan or switch state selective.
+//! - [`OWN_NODE_ID`], by a table of LSS addresses, or in the order of finding while lone bit errors come a second apart.
+//!
+//! # Two limits of CiA 305
+//! Each is kept as a test that expects the violation. Nobody confirms `04 00`: a board whose receiver loses this one
+//! frame stays selected. And a master that takes over within the silence of a switch is not heard: the boards ignore its
+//! `04 00` until twice the delay has passed. A careful master waits that long at first, and asks the board that it has
+//! selected for its serial number (`5D`): two answers show two boards.
+//!
+//! # What is not in it
+//! Bus-off; automatic detection; SDO, PDOs and heartbeats; more than two bit rates; nodes with equal LSS addresses; the
+//! settings log, which `cargo verify power-cut` checks. To compare states, a time more than 150 ms away is rounded up to
+//! 0.5 s, more than 3 s to 10 s.
 
 pub mod board;
 pub mod check;

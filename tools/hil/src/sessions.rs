@@ -74,7 +74,7 @@ pub const ALL: [Session; 12] = [
     Session {
         name: "rescue",
         title: "rescue",
-        rule: "docs/bit-rates.md, supervision",
+        rule: "docs/reference.md, supervision",
         run: search::rescue,
     },
     Session {

@@ -1,4 +1,4 @@
-//! Bit-rate supervision: the choice of the node's bit rate and the search for another (`docs/bit-rates.md`).
+//! Bit-rate supervision: the choice of the node's bit rate and the search for another (`docs/reference.md`).
 //!
 //! The *home* rate is the one last commanded: stored at power-on, or activated since. It is *proven* once a valid frame
 //! was received at it, or a frame of the node acknowledged. A proven home is never left. From an unproven one the node

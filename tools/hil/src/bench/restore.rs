@@ -45,7 +45,7 @@ impl Bench {
         &mut self,
         wanted: &[(Board, Option<NodeId>, BitRateSetting)],
     ) -> Result<Vec<String>, Stop> {
-        /// A board at a commanded rate at which it cannot answer goes home after 30 s (docs/bit-rates.md).
+        /// A board at a commanded rate at which it cannot answer goes home after 30 s (docs/reference.md).
         const SUPERVISION: Duration = Duration::from_secs(40);
         let begin = Instant::now();
         let mut rest = wanted.to_vec();

@@ -14,7 +14,7 @@ use crate::address;
 const KEPT: usize = 100;
 /// More than a heartbeat is late because of other frames and the computer.
 const JITTER: Duration = Duration::from_millis(100);
-/// The emergency of this repository's nodes at another bit rate than their home rate (docs/bit-rates.md).
+/// The emergency of this repository's nodes at another bit rate than their home rate (docs/reference.md).
 const GUEST_ERROR_CODE: u16 = 0xFF10;
 /// The heartbeat of node guarding has a toggle bit.
 const STATE: u8 = 0x7F;
