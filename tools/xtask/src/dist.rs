@@ -60,7 +60,8 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let is_whole = arguments.chips.is_empty();
     if is_whole {
-        check_repository()?;
+        let manifest = fs::read_to_string(workspace().join("Cargo.toml")).context("Cargo.toml")?;
+        check_repository(&manifest)?;
     }
     if is_whole && !arguments.images {
         lss::write(arguments)?;
@@ -74,9 +75,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// A release names the repository that it is made from: crates and pages link to it.
-fn check_repository() -> anyhow::Result<()> {
-    let text = fs::read_to_string(workspace().join("Cargo.toml")).context("Cargo.toml")?;
-    let manifest: toml::Table = text.parse().context("Cargo.toml")?;
+fn check_repository(manifest: &str) -> anyhow::Result<()> {
+    let manifest: toml::Table = manifest.parse().context("Cargo.toml")?;
     let repository = manifest["workspace"]["package"].get("repository");
     ensure!(
         repository.and_then(|url| url.as_str()).is_some_and(|url| url.starts_with("https://")),
@@ -115,5 +115,24 @@ impl Arguments {
     /// The folder of this name.
     fn folder(&self, name: &str) -> PathBuf {
         self.out.clone().unwrap_or_else(|| workspace().join("target/dist")).join(name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_names_its_repository() {
+        let manifest = |line| format!("[workspace.package]\n{line}\n");
+        for line in ["", "repository = \"\"", "repository = \"lss-slave\""] {
+            let error = check_repository(&manifest(line)).expect_err(line).to_string();
+            assert!(
+                error.contains("Cargo.toml, [workspace.package], as in `repository = "),
+                "{error}"
+            );
+        }
+        check_repository(&manifest("repository = \"https://example.org/lss-slave\""))
+            .expect("it does");
     }
 }

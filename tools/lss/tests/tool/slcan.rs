@@ -120,6 +120,7 @@ fn on_a_full_disk_no_board_gets_a_node_id_and_the_table_stays() {
 }
 
 /// Whether the list has a board without a node-ID, and no other.
+#[cfg(unix)]
 fn text_of_none(output: &Output) -> bool {
     let listed = text(output, 0);
     listed.lines().count() == 2 && listed.contains("\nnone  ")

@@ -82,7 +82,8 @@ fn licences(target: &str) -> anyhow::Result<String> {
     tree.args(["--target", target, "--format", "{p}|{l}"]).current_dir(workspace());
     let packages = tool::output(&mut tree)?;
     // Those of this repository have a path.
-    let others: BTreeSet<&str> = packages.lines().filter(|line| !line.contains(" (/")).collect();
+    let ours = format!(" ({}", workspace().display());
+    let others: BTreeSet<&str> = packages.lines().filter(|line| !line.contains(&ours)).collect();
     let mut text = String::new();
     for package in others.into_iter().filter(|line| !line.trim().is_empty()) {
         let (package, licence) =
