@@ -5,16 +5,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-use canopen_node::{BitRateSetting, NodeId, lss::Request};
+use canopen_node::{BitRate, BitRateSetting, NodeId, lss::Request};
 use lss_master::Configure;
 
-use super::{Bench, RESET_NODE, START, node_id_text};
+use super::{Bench, RESET_NODE, SEARCH, START, node_id_text};
 use crate::{
     board::{self, Board, Original},
     report::Left,
     sdo::{self, Outcome},
     stop::Stop,
 };
+
+/// Bits that are longer than the dominant time-out of common transceivers have these rates.
+const CUT_OFF: [BitRate; 2] = [BitRate::Kbit20, BitRate::Kbit10];
 
 impl Bench {
     /// Brings all boards back to their node-IDs at the base rate, as each session finds them.
@@ -47,24 +50,33 @@ impl Bench {
     ) -> Result<Vec<String>, Stop> {
         /// A board at a commanded rate at which it cannot answer goes home after 30 s (docs/reference.md).
         const SUPERVISION: Duration = Duration::from_secs(40);
-        let begin = Instant::now();
+        let (first, begin) = (self.bus.rate(), Instant::now());
         let mut rest = wanted.to_vec();
         let mut refusals = Vec::new();
         for attempt in 0.. {
             if attempt >= 3 && (self.is_lost || begin.elapsed() > SUPERVISION) {
                 break;
             }
-            for rate in board::rates_from(self.bus.rate()) {
+            // A board that answers nothing may still listen, and return to its stored rate.
+            let resets = attempt % 2 == 1;
+            if resets {
+                self.reset_unheard()?;
+            }
+            let search_end = Instant::now() + if resets { SEARCH } else { Duration::ZERO };
+            for rate in board::rates_from(first) {
                 if rest.is_empty() {
                     return Ok(refusals);
                 }
-                if self.bus.fixed_rate().is_some_and(|fixed| fixed != rate) {
+                if self.bus.fixed_rate().is_some_and(|fixed| fixed != rate)
+                    || resets && CUT_OFF.contains(&rate)
+                {
                     continue;
                 }
                 self.bus.open(rate)?;
                 let (mut still, count) = (Vec::new(), rest.len());
                 for (board, node_id, setting) in rest {
-                    if !self.reach(board.address, Duration::ZERO)? {
+                    let limit = search_end.saturating_duration_since(Instant::now());
+                    if !self.reach(board.address, limit)? {
                         still.push((board, node_id, setting));
                         continue;
                     }
@@ -74,8 +86,7 @@ impl Bench {
                     }
                 }
                 rest = still;
-                // A board that answers nothing may still listen, and return to its stored rate.
-                if rest.len() < count || attempt % 2 == 1 {
+                if rest.len() < count || resets {
                     self.bus.nmt(RESET_NODE, 0)?;
                     self.bus.pass(Duration::from_millis(100))?;
                 }
@@ -84,6 +95,23 @@ impl Bench {
         self.is_lost = true;
         refusals.extend(rest.iter().map(|(board, ..)| format!("{board} answers at no bit rate")));
         Ok(refusals)
+    }
+
+    /// Resets the boards at the rates at which a transceiver may cut off what they send. A board that hears a request there
+    /// tries to answer for ever: it would then hear nothing but NMT commands, whose COB-ID comes first.
+    fn reset_unheard(&mut self) -> Result<(), Stop> {
+        if self.bus.fixed_rate().is_some() {
+            return Ok(());
+        }
+        for rate in CUT_OFF {
+            self.bus.open(rate)?;
+            // One of them comes between bus-off and the next attempt to answer.
+            for _ in 0..5 {
+                self.bus.nmt(RESET_NODE, 0)?;
+                self.bus.pass(Duration::from_millis(300))?;
+            }
+        }
+        Ok(())
     }
 
     /// Stores the original settings again, after whatever has happened.
