@@ -1,6 +1,7 @@
 //! The abort codes of SDO (CiA 301, 7.2.4.3.17) that the cases accept.
 
 pub const WRONG_TOGGLE: u32 = 0x0503_0000;
+pub const TIMEOUT: u32 = 0x0504_0000;
 pub const UNKNOWN_COMMAND: u32 = 0x0504_0001;
 pub const WRONG_BLOCK_SIZE: u32 = 0x0504_0002;
 pub const WRONG_SEQUENCE_NUMBER: u32 = 0x0504_0003;

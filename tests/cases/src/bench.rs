@@ -122,6 +122,19 @@ impl<'a> Bench<'a> {
         std::mem::take(&mut self.seen)
     }
 
+    /// The number of lines of the case's protocol so far.
+    pub fn seen_len(&self) -> usize {
+        self.seen.len()
+    }
+
+    /// The frames that were received since then.
+    pub fn received_since(&self, from: usize) -> impl Iterator<Item = Frame> {
+        self.seen[from..].iter().filter_map(|(_, seen)| match seen {
+            Seen::Received(frame) => Some(*frame),
+            _ => None,
+        })
+    }
+
     fn adapter(&mut self) -> &mut dyn Adapter {
         match &mut self.line {
             Line::Adapter(adapter) => *adapter,

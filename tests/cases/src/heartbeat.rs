@@ -27,7 +27,7 @@ const CASES: &[Case] = &[
 
 /// The heartbeats of our producer, and the consumer's time, both in ms.
 const BEAT: Duration = ms(500);
-const CONSUMER_MS: u32 = 1_000;
+pub const CONSUMER_MS: u32 = 1_000;
 /// The error code of a missing heartbeat.
 const LIFE_ERROR: u16 = 0x8130;
 
@@ -73,18 +73,18 @@ fn no_producer(bench: &mut Bench) -> Step {
 }
 
 /// The sub-indices of 1016h; the case is skipped if there is none.
-fn consumers(bench: &Bench) -> Step<Vec<u8>> {
+pub fn consumers(bench: &Bench) -> Step<Vec<u8>> {
     bench.needs((0x1016, 1))?;
     Ok(bench.eds.object(0x1016).map(|entry| entry.address.1).filter(|sub| *sub > 0).collect())
 }
 
 /// A value of 1016h.
-fn consumer(node: u8, time_ms: u32) -> [u8; 4] {
+pub fn consumer(node: u8, time_ms: u32) -> [u8; 4] {
     (u32::from(node) << 16 | time_ms).to_le_bytes()
 }
 
 /// A node-ID for the producer that a sub-index consumes, other than the device's.
-fn producer_of(bench: &Bench, sub_index: u8) -> u8 {
+pub fn producer_of(bench: &Bench, sub_index: u8) -> u8 {
     let node = sub_index % 126 + 1;
     if node == bench.node { 127 } else { node }
 }
@@ -109,7 +109,7 @@ fn beat(bench: &mut Bench, node: u8, interval: Duration, count: usize) -> Step<V
     Ok(messages)
 }
 
-fn is_life_error(message: &Frame) -> bool {
+pub fn is_life_error(message: &Frame) -> bool {
     emergency::code(message) == LIFE_ERROR
 }
 

@@ -41,7 +41,9 @@ fn sentence(text: &str) -> String {
 
 fn cases(root: &Path) -> io::Result<String> {
     let folder = root.join("tests/cases/src");
-    let files = [sources(&folder)?, sources(&folder.join("lss"))?].concat();
+    let folders = [folder.join("own"), folder.join("lss"), folder];
+    let files = folders.iter().map(|folder| sources(folder)).collect::<io::Result<Vec<_>>>()?;
+    let files = files.concat();
     let mut text = String::from("\n## Cases\n");
     for (name, groups) in [
         ("CiA 301, numbered as in the certifier's tool", APPLICATION_LAYER),

@@ -1,5 +1,9 @@
 //! Own 01..15: rules of CiA 301 that no case of the certifier's tool looks at.
 
+mod errors;
+mod process_data;
+mod transfers;
+
 use std::time::Duration;
 
 use canopen_node::Frame;
@@ -15,7 +19,12 @@ use crate::{
 };
 
 /// Our own cases, which the certifier's tool does not have.
-pub const OWN: &[Group] = &[Group { name: "Own", prepare: |bench| bench.restore(), cases: CASES }];
+pub const OWN: &[Group] = &[
+    Group { name: "Own", prepare: |bench| bench.restore(), cases: CASES },
+    errors::GROUP,
+    transfers::GROUP,
+    process_data::GROUP,
+];
 
 const CASES: &[Case] = &[
     Case::new("A TPDO has the length of its mapping", tpdo_length),
@@ -128,6 +137,8 @@ struct Output {
     cob_id: u16,
     /// What the RPDO carries.
     data: Vec<u8>,
+    /// The same without the change.
+    before: Vec<u8>,
     address: Address,
     /// The value before, and the one that the RPDO sets.
     values: [Vec<u8>; 2],
@@ -138,7 +149,7 @@ impl Output {
     fn of(bench: &mut Bench) -> Step<Self> {
         bench.needs((0x1005, 0))?;
         for (rpdo, cob_id) in pdo::valid(bench, &[Direction::Receive])? {
-            let (mut data, mut found) = (Vec::new(), None);
+            let (mut data, mut unchanged, mut found) = (Vec::new(), Vec::new(), None);
             for entry in rpdo.entries(bench)? {
                 let address = ((entry >> 16) as u16, (entry >> 8) as u8);
                 let can_be_read = bench.eds.get(address).is_some_and(|entry| entry.can_be_read());
@@ -146,6 +157,7 @@ impl Output {
                     true => bench.read(address)?,
                     false => vec![0; (entry & 0xFF) as usize / 8],
                 };
+                unchanged.extend_from_slice(&value);
                 if can_be_read && found.is_none() {
                     let before = value.clone();
                     value[0] ^= 1;
@@ -155,14 +167,27 @@ impl Output {
             }
             if let Some((address, values)) = found {
                 let cob_id = cob_id as u16 & 0x7FF;
-                return Ok(Self { rpdo, cob_id, data, address, values });
+                return Ok(Self { rpdo, cob_id, data, before: unchanged, address, values });
             }
         }
         bench.skip("no RPDO changes a value that can be read")
     }
 
+    /// The same with this transmission type, in NMT state operational.
+    fn running(bench: &mut Bench, kind: u8) -> Step<Self> {
+        let output = Self::of(bench)?;
+        output.rpdo.set_transmission(bench, kind, 0)?;
+        bench.nmt(Command::Start)?;
+        bench.pass(EFFECT)?;
+        Ok(output)
+    }
+
     fn send(&self, bench: &mut Bench) -> Step {
-        bench.send(self.cob_id, &self.data)?;
+        self.send_data(bench, &self.data)
+    }
+
+    fn send_data(&self, bench: &mut Bench, data: &[u8]) -> Step {
+        bench.send(self.cob_id, data)?;
         bench.pass(EFFECT)
     }
 

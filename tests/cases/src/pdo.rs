@@ -120,8 +120,12 @@ pub struct Pdo {
 }
 
 impl Pdo {
-    const fn cob_id(self) -> Address {
+    pub const fn cob_id(self) -> Address {
         (self.communication, 1)
+    }
+
+    pub const fn transmission_type(self) -> Address {
+        (self.communication, 2)
     }
 
     pub const fn inhibit_time(self) -> Address {
@@ -147,7 +151,7 @@ impl Pdo {
     /// Writes a transmission type, and an event timer where the data sheet has one, while the PDO is invalid.
     pub fn set_transmission(self, bench: &mut Bench, kind: u8, timer_ms: u16) -> Step {
         let cob_id = self.close(bench)?;
-        bench.write((self.communication, 2), &[kind])?;
+        bench.write(self.transmission_type(), &[kind])?;
         if bench.eds.get((self.communication, 5)).is_some() {
             bench.write((self.communication, 5), &timer_ms.to_le_bytes())?;
         }

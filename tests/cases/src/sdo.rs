@@ -243,7 +243,7 @@ fn text_in_segments(bench: &mut Bench) -> Step {
 
 /// Reads a value by a block upload, with a check of its CRC if that is wanted. With `repeats` the first block is
 /// confirmed up to its first segment only.
-fn block_upload(
+pub fn block_upload(
     bench: &mut Bench,
     address: Address,
     has_crc: bool,

@@ -100,6 +100,10 @@ const CASES: &[Case] = &[
         bench.check(found.is_none(), "the last step is not answered")?;
         bench.expect_waiting()
     }),
+    Case::new("BitCheck 80h begins the scan again", |bench| {
+        bench.play("51 00 00 00 00 80 = 4F; 51 V 00 00 01 = 4F; 51 00 00 00 00 80 = 4F")?;
+        bench.play("51 P 00 01 02 = -; 51 V 00 00 01 = 4F; 51 P 00 01 02 = 4F")
+    }),
 ];
 
 /// The beginning of a scan.

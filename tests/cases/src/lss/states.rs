@@ -20,7 +20,7 @@ const CASES: &[Case] = &[
     ),
     Case::new("A select that differs in one bit is not answered", other_addresses),
     Case::new("40 begins a select again", |bench| {
-        bench.play("40 V; 41 V; 42 R; 40 V; 41 P; 42 R; 43 S = 44; configuration")
+        bench.play("40 V; 41 P; 40 V; 41 P; 42 R; 43 S = 44; configuration")
     }),
     Case::new("A select in configuration is not answered", |bench| {
         bench.play("04 01; 40 V = -; 41 P = -; 42 R = -; 43 S = -; configuration")
@@ -55,6 +55,9 @@ const CASES: &[Case] = &[
         reset(bench, Command::ResetCommunication)
     }),
     Case::new("NMT reset node leads to waiting", |bench| reset(bench, Command::ResetNode)),
+    Case::new("A step that differs ends a select", |bench| {
+        bench.play("40 V; 41 V; 41 P; 42 R; 43 S = -; waiting")
+    }),
 ];
 
 const NMT_STATES: [Command; 3] = [Command::Start, Command::Stop, Command::EnterPreOperational];

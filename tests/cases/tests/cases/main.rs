@@ -1,4 +1,5 @@
-//! The cases find what is wrong: on devices and lines that break one rule at a time, those that prove it fail.
+//! The cases on nodes in the process: all hold, and on devices and lines that break one rule at a time those that prove it
+//! fail.
 
 mod application_layer;
 mod guarded;

@@ -85,7 +85,7 @@ pub const SABOTAGES: &[(&str, Rule, &str)] = &[
     (
         "Each 43 is answered",
         Rule { to_device: |memory, frame| answered(memory, frame, 0x43, &[0x44]), ..HONEST },
-        "LSS states 4 6, LSS further 1 2 3 4 15",
+        "LSS states 4 6 14, LSS further 1 2 3 4 15",
     ),
     (
         "5A to 5D are answered with another number",
@@ -311,7 +311,7 @@ pub const SABOTAGES: &[(&str, Rule, &str)] = &[
             },
             ..HONEST
         },
-        "LSS Fastscan 1 4 5 6 7 8 9 10 11, LSS several 2 5, LSS further 7 8",
+        "LSS Fastscan 1 4 5 6 7 8 9 10 11 13, LSS several 2 5, LSS further 7 8",
     ),
     (
         "Each 51 is answered",

@@ -159,7 +159,7 @@ const SABOTAGES: &[Sabotage] = &[
         },
         found_by: "SDO 3 4 5 6 7 8 9 10 11 17 26 27 28, PDO 23 24 25 26 28 29 31 32, OD 3 4 6, \
                    Emergency 3, Synchronization 5 9, Heartbeat 4, Testing other 1 3 5 7 10, \
-                   Own 9 15",
+                   Own 9 15, Own SDO 3 4 5 6 8 9 13 16, Own PDO 7 10",
     },
     Sabotage {
         rule: "values of four bytes",
@@ -285,7 +285,8 @@ const SABOTAGES: &[Sabotage] = &[
         wanted: &[],
         to_node: unchanged,
         of_node: |frame| (frame.data() == [0] || frame.cob_id() != 0x740).then_some(frame),
-        found_by: "Heartbeat 2 7, State 1 2 3 4, Transition 1 2 3 4, Own 10 11 12",
+        found_by: "Heartbeat 2 7, State 1 2 3 4, Transition 1 2 3 4, Own 10 11 12, \
+                   Own NMT 1 4 6",
     },
     Sabotage {
         rule: "the end of the heartbeat",
@@ -313,7 +314,7 @@ const SABOTAGES: &[Sabotage] = &[
         wanted: &[],
         to_node: unchanged,
         of_node: |frame| (!is_tpdo(&frame)).then_some(frame),
-        found_by: "PDO 4 5 6 7 8, Synchronization 3, State 3, Own 1 2 6",
+        found_by: "PDO 4 5 6 7 8, Synchronization 3, State 3, Own 1 2 6, Own PDO 8 9",
     },
     Sabotage {
         rule: "the length of a TPDO",
@@ -330,7 +331,8 @@ const SABOTAGES: &[Sabotage] = &[
         wanted: &[],
         to_node: unchanged,
         of_node: |frame| (frame.cob_id() != 0xC0).then_some(frame),
-        found_by: "Emergency 4 5 6, Heartbeat 6 7, Own 3 7 10",
+        found_by: "Emergency 4 5 6, Heartbeat 6 7, Own 3 7 10, Own NMT 2 3 5 6 7, \
+                   Own PDO 3 4 5 6 11",
     },
     Sabotage {
         rule: "the error register",
@@ -351,7 +353,8 @@ const SABOTAGES: &[Sabotage] = &[
             _ => Some(frame),
         },
         of_node: unchanged,
-        found_by: "PDO 10 11 12 13 14 16 17 18 19 20, State 2 4, Transition 2 3 4",
+        found_by: "PDO 10 11 12 13 14 16 17 18 19 20, State 2 4, Transition 2 3 4, \
+                   Own NMT 1 5, Own SDO 18, Own PDO 1 11",
     },
     Sabotage {
         rule: "entries of more than 64 bits: refused before",
@@ -408,7 +411,48 @@ const SABOTAGES: &[Sabotage] = &[
             _ => Some(frame),
         },
         of_node: unchanged,
-        found_by: "Own 2 3 5 7",
+        found_by: "Own 2 3 5 7, Own PDO 8 11",
+    },
+    Sabotage {
+        rule: "1017h as a client reads it",
+        wanted: &["Own SDO"],
+        to_node: unchanged,
+        of_node: |frame| match *frame.data() {
+            [0x4B, 0x17, 0x10, 0, byte, ..] => with_byte(frame, 4, byte ^ 1),
+            _ => Some(frame),
+        },
+        found_by: "Own SDO 1 4 6 7 8 14 15 16 17 18",
+    },
+    Sabotage {
+        rule: "short requests, the threshold and the block size of a block upload",
+        wanted: &["Own SDO"],
+        to_node: |frame| match *frame.data() {
+            [0xA0, _, _, _, _, 1..=0xFF, ..] => with_byte(frame, 5, 0),
+            [0xA2, _, 2, ..] => with_byte(frame, 2, 1),
+            [0x40, ..] => Frame::new(frame.cob_id(), &frame.padded_data()),
+            _ => Some(frame),
+        },
+        of_node: unchanged,
+        found_by: "Own SDO 2 11 12",
+    },
+    Sabotage {
+        rule: "the unused bytes of a block upload",
+        wanted: &["Own SDO 10"],
+        to_node: unchanged,
+        of_node: |frame| match *frame.data() {
+            [command, ..] if is_of_server(&frame) && command & 0xE3 == 0xC1 => {
+                with_byte(frame, 0, command ^ 4)
+            }
+            _ => Some(frame),
+        },
+        found_by: "Own SDO 10",
+    },
+    Sabotage {
+        rule: "RPDOs at another COB-ID",
+        wanted: &["Own PDO"],
+        to_node: |frame| (frame.cob_id() != 0x540).then_some(frame),
+        of_node: unchanged,
+        found_by: "Own PDO 2",
     },
     Sabotage {
         rule: "synchronous RPDOs, the counter of SYNC, 1014h, 1029h",
@@ -420,7 +464,7 @@ const SABOTAGES: &[Sabotage] = &[
             _ => Some(frame),
         },
         of_node: unchanged,
-        found_by: "Own 4 5 6 8 10 11",
+        found_by: "Own 4 5 6 8 10 11, Own NMT 6, Own PDO 1 5",
     },
 ];
 
