@@ -34,6 +34,12 @@ const INQUIRE_SERIAL_NUMBER: u8 = 0x5D;
 const SLICE: Duration = Duration::from_millis(50);
 /// The number of sent frames by which an echo is known.
 const ECHOES: usize = 16;
+/// The number of pairs, from the first frame on, by which an adapter is known that forwards each frame twice.
+const PAIRS: usize = 4;
+/// The least bits of a frame without data.
+const FRAME_BITS: u32 = 44;
+/// The longest latency of an adapter that does not gather frames, so that the time between them counts.
+const PROMPT: Duration = Duration::from_millis(4);
 /// The number of unasked frames that are kept.
 const KEPT: usize = 1000;
 
@@ -53,11 +59,16 @@ pub struct Bus {
     /// The last frames sent that have not come back, and whether one has: the adapter may echo what it sends.
     sent: VecDeque<Frame>,
     has_echo: bool,
+    /// The number of pairs of equal frames so far, `None` if a frame came alone; and the last frame, if it may be the first
+    /// of a pair.
+    pairs: Option<usize>,
+    first: Option<Received>,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
     /// Frames were dropped that nodes sent of themselves: who seems to be silent may have answered.
     pub has_dropped: bool,
-    /// The nodes that have sent a heartbeat or an emergency, and the last NMT state that each has reported.
+    /// The nodes that have sent a frame of the predefined connection set (CiA 301), and the last NMT state that each has
+    /// reported.
     pub heard: BTreeMap<u8, Option<u8>>,
     /// The node-IDs that boards have told by inquire node-ID, FFh for none.
     pub inquired: BTreeSet<u8>,
@@ -162,6 +173,8 @@ impl Bus {
             pace: Pace::Patient,
             sent: VecDeque::new(),
             has_echo: false,
+            pairs: Some(0),
+            first: None,
             unasked: VecDeque::new(),
             has_dropped: false,
             heard: BTreeMap::new(),
@@ -258,7 +271,17 @@ impl Bus {
         if self.has_echo {
             remarks.push("frames come back as they were sent: the adapter echoes, or another master does the same".into());
         }
+        if self.is_doubled() {
+            remarks.push(
+                "each frame comes twice, faster than a bus is: the adapter forwards it so".into(),
+            );
+        }
         remarks
+    }
+
+    /// Whether the adapter is known to forward each frame twice; the second ones are dropped from then on.
+    pub fn is_doubled(&self) -> bool {
+        self.pairs.is_some_and(|pairs| pairs >= PAIRS)
     }
 
     /// The adapter and its version, for a person.
@@ -296,8 +319,11 @@ impl Bus {
             self.check_interrupt()?;
             let wait = until.saturating_duration_since(self.adapter.now()).min(SLICE);
             if let Some(received) = self.adapter.receive(wait)? {
-                self.note(&received)?;
-                return Ok(Some(received));
+                if self.is_new(&received) {
+                    self.note(&received.frame)?;
+                    return Ok(Some(received));
+                }
+                continue;
             }
             if self.adapter.now() >= until {
                 return Ok(None);
@@ -486,19 +512,47 @@ impl Bus {
         self.unasked.push_back(received);
     }
 
-    fn note(&mut self, received: &Received) -> Result<(), Stop> {
-        let frame = &received.frame;
-        if let Some(at) = self.sent.iter().rposition(|sent| sent == frame) {
-            self.sent.remove(at);
-            self.has_echo = true;
-            return Ok(());
+    /// Whether a frame is neither an echo of the adapter nor the second of two that it makes of one.
+    fn is_new(&mut self, received: &Received) -> bool {
+        let Received { frame, at, here } = received;
+        let span = bits(FRAME_BITS + 8 * frame.data().len() as u32, self.rate);
+        let first = self.first.take().filter(|_| self.latency() <= PROMPT);
+        let is_second = first.is_some_and(|first| {
+            let pause = here.duration_since(first.here).max(at.saturating_sub(first.at));
+            first.frame == *frame && pause < span
+        });
+        let was_doubled = self.is_doubled();
+        self.pairs = match (self.pairs, first) {
+            (Some(pairs), Some(_)) if is_second => Some(pairs + 1),
+            (Some(_), Some(_)) if !was_doubled => None,
+            (pairs, _) => pairs,
+        };
+        self.first = Some(*received).filter(|_| !is_second);
+        if is_second && was_doubled {
+            return false;
         }
+        let echoed = self.sent.iter().rposition(|sent| sent == frame);
+        self.has_echo |= echoed.and_then(|at| self.sent.remove(at)).is_some();
+        echoed.is_none()
+    }
+
+    fn note(&mut self, frame: &Frame) -> Result<(), Stop> {
+        let node = (frame.cob_id() & 0x7F) as u8;
         match (frame.cob_id(), frame.data()) {
             (0x701..=0x77F, &[state]) => {
-                self.heard.insert((frame.cob_id() & 0x7F) as u8, Some(state));
+                self.heard.insert(node, Some(state));
             }
-            (0x081..=0x0FF, [_, ..]) => {
-                self.heard.entry((frame.cob_id() & 0x7F) as u8).or_default();
+            // An emergency, a TPDO or an answer of the SDO server.
+            (
+                0x081..=0x0FF
+                | 0x181..=0x1FF
+                | 0x281..=0x2FF
+                | 0x381..=0x3FF
+                | 0x481..=0x4FF
+                | 0x581..=0x5FF,
+                _,
+            ) => {
+                self.heard.entry(node).or_default();
             }
             (lss::RESPONSE_COB_ID, data) if data.len() < 8 => self.short_answer = Some(*frame),
             (lss::RESPONSE_COB_ID, &[0x5E, id, ..]) => {

@@ -45,6 +45,8 @@ pub struct Target {
     pub rate: BitRate,
     /// What the devices do not offer.
     pub without: Vec<Feature>,
+    /// An SDO server has answered.
+    has_sdo: bool,
     /// The bit rate of the line at present.
     now: BitRate,
     /// The time of the last request.
@@ -53,7 +55,7 @@ pub struct Target {
 
 impl Target {
     pub fn new(devices: Vec<Address>, rate: BitRate, without: Vec<Feature>) -> Self {
-        Self { devices, rate, without, now: rate, last: Duration::ZERO }
+        Self { devices, rate, without, has_sdo: false, now: rate, last: Duration::ZERO }
     }
 }
 
@@ -120,6 +122,8 @@ const PATIENCE: Duration = ms(1_000);
 const LONG_PATIENCE: Duration = ms(5_000);
 /// The wait for an answer that must not come.
 const QUIET: Duration = ms(50);
+/// How often a device is asked whether it has an SDO server.
+const SDO_ATTEMPTS: usize = 3;
 /// The least time between two requests, but for the cases about requests without a pause.
 const GAP: Duration = ms(5);
 /// No answer.
@@ -182,6 +186,20 @@ impl Bench<'_> {
             }
             false => Ok(()),
         }
+    }
+
+    /// Whether the device, which has the node-ID of the bench, has an SDO server: one that was found stays to be expected.
+    fn has_sdo(&mut self) -> Step<bool> {
+        for _ in 0..SDO_ATTEMPTS {
+            if self.lss.has_sdo || self.lss.without.contains(&Feature::Sdo) {
+                break;
+            }
+            self.send(0x600 + u16::from(self.node), &[0x40, 0, 0x10, 0, 0, 0, 0, 0])?;
+            let cob_id = 0x580 + u16::from(self.node);
+            let answer = self.wait_for(PATIENCE, |frame| frame.cob_id() == cob_id)?;
+            self.lss.has_sdo = answer.is_some();
+        }
+        Ok(self.lss.has_sdo)
     }
 
     /// The LSS address of the device.

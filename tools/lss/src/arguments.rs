@@ -143,6 +143,9 @@ pub enum Command {
         /// node that appears once
         #[arg(long)]
         watch: bool,
+        /// Ask a node that does not tell its LSS address by SDO for it by LSS, if no other board is on the bus
+        #[arg(long, conflicts_with = "watch")]
+        ask: bool,
     },
     /// Give each board without a node-ID one that nobody has, store it and verify it by a reset
     Assign(Assign),

@@ -83,7 +83,9 @@ impl Firmware {
     pub const LINE_FEEDS: Self = Self { end: "\n", ..Self::CANUSB };
     /// A serial chip of FTDI is in between.
     pub const FTDI: Self = Self { latency_ms: 16, ..Self::CANUSB };
+    /// It forwards what it sends.
     pub const ECHO: Self = Self { echoes: true, ..Self::CANUSB };
+    /// It forwards each frame twice.
     pub const DOUBLE: Self = Self { doubles: true, ..Self::CANUSB };
 }
 

@@ -51,7 +51,7 @@ const CASES: &[Case] = &[
     Case::new("Without a delay the device switches at once", |bench| second_delay(bench, 0)),
     Case::new("The longest delay, FFFFh, is twice 65.535 s", |bench| second_delay(bench, 0xFFFF)),
     Case::new("The device sends nothing in both delays, no heartbeat either", |bench| {
-        if !bench.lss.without.contains(&Feature::Sdo) {
+        if bench.has_sdo()? {
             // A device without a heartbeat refuses it.
             let _ = bench.download((0x1017, 0), &100_u16.to_le_bytes())?;
         }

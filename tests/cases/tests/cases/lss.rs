@@ -319,6 +319,21 @@ fn every_case_of_lss_passes_on_nodes_of_ours() {
     assert_eq!(others, WITHOUT_RESCUE);
 }
 
+#[test]
+fn what_needs_an_sdo_server_is_skipped_on_nodes_without_one() {
+    let rule = Rule {
+        of_device: |_, frame| {
+            Some(frame).filter(|frame| !(0x581..=0x5FF).contains(&frame.cob_id()))
+        },
+        ..HONEST
+    };
+    let mut others = outcomes(rule, &[]);
+    others.retain(|(_, found)| *found != Outcome::Passed);
+    let [(number, Outcome::Skipped(why)), (rescue, _)] = &others[..] else { panic!("{others:?}") };
+    assert_eq!([&**number, rescue], ["LSS node-ID 09", WITHOUT_RESCUE[0]]);
+    assert!(why.contains("`--without sdo`"), "{why}");
+}
+
 /// On the bus in the process somebody acknowledges every frame, so that each bit rate proves right:
 /// `cargo verify conformance` looks at this case.
 pub const WITHOUT_RESCUE: [&str; 1] = ["LSS further 19"];

@@ -1,16 +1,39 @@
 //! `lss list`: every node, with and without a node-ID.
 
+use canopen_node::NodeId;
+use lss_master::InquireNodeId;
+
+use super::one_board::choose;
 use crate::{
     address,
+    arguments::Target,
     failure::Failure,
     network::rows::{self, Row},
     session::Session,
 };
 
-/// Prints a row for each node, as a table or as JSON.
-pub fn list(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
+/// Prints a row for each node, as a table or as JSON. A node that does not tell its LSS address is asked for it by LSS if
+/// it `asks`.
+pub fn list(session: &mut Session<'_>, is_json: bool, asks: bool) -> Result<(), Failure> {
     let mut problems = Vec::new();
-    let rows = rows::rows(session, &mut problems)?;
+    let mut rows = rows::rows(session, &mut problems)?;
+    for row in rows.iter_mut().filter(|row| asks && row.lss_address.is_none()) {
+        let asked = choose(session, Target { address: None });
+        match asked.and_then(|address| Ok((address, session.carry_out(InquireNodeId)?))) {
+            Ok((address, id)) if id.map(NodeId::get) == row.node_id => {
+                row.lss_address = Some(address);
+            }
+            Err(Failure::NoAnswer(_)) => {
+                problems.push(format!("{} does not answer to LSS", row.words()))
+            }
+            Err(stop @ Failure::Stop(_)) => return Err(stop),
+            // Others answer, too.
+            _ => problems.push(format!(
+                "{} can be asked for its LSS address only alone on the bus",
+                row.words()
+            )),
+        }
+    }
     session.progress.clear();
     if rows.is_empty() {
         Failure::of(&problems)?;

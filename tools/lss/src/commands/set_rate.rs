@@ -184,7 +184,7 @@ fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
         let Some(address) = row.lss_address else {
             return Err(Failure::Refused(format!(
                 "{} does not tell its LSS address: it cannot be switched with the others. Take it off the bus",
-                row.node_id.map_or("a board without a node-ID".into(), |id| format!("node {id}"))
+                row.words()
             )));
         };
         members.push(Member::new(address));

@@ -72,19 +72,19 @@ pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
 /// Whether two boards with one LSS address have this node-ID. Answers at the same moment are one frame, so it is asked
 /// several times.
 fn are_two(session: &mut Session<'_>, id: u8) -> Result<bool, Failure> {
+    let mut are_two = false;
     for _ in 0..REPEATS {
-        if answers_of(session, id, SERIAL_NUMBER)?.len() > 1 {
-            return Ok(true);
-        }
+        are_two |= answers_of(session, id, SERIAL_NUMBER)?.len() > 1;
     }
-    Ok(false)
+    Ok(are_two && !session.bus.is_doubled())
 }
 
 /// The words for boards that LSS cannot tell apart.
 pub fn two(address: &str, id: u8) -> String {
     format!(
         "2 boards have the LSS address {address}, and both are node {id}. LSS cannot tell them apart: take one off the \
-         bus, and let its manufacturer give it another serial number"
+         bus, and let its manufacturer give it another serial number. If there is only one, the adapter forwards each frame \
+         twice, or the board answers twice"
     )
 }
 

@@ -41,6 +41,11 @@ impl Row {
         }
     }
 
+    /// The board, for a sentence.
+    pub fn words(&self) -> String {
+        self.node_id.map_or("a board without a node-ID".into(), |id| format!("node {id}"))
+    }
+
     /// The bit rate, and that of the next start if it is another.
     pub fn bit_rate_text(&self) -> String {
         match self.home_bit_rate {

@@ -19,7 +19,7 @@ fn lss(wire: &Wire, firmware: Firmware, arguments: &str) -> Outcome {
     run(adapter, &Arc::default(), arguments, |_| ())
 }
 
-const ALL: [(&str, Firmware); 9] = [
+const ALL: [(&str, Firmware); 11] = [
     ("CANUSB", Firmware::CANUSB),
     ("CANable 1.x, 2.0", Firmware::CANABLE),
     ("answers nothing", Firmware::MUTE),
@@ -29,6 +29,8 @@ const ALL: [(&str, Firmware); 9] = [
     ("a short queue", Firmware::SHORT_QUEUE),
     ("line feeds", Firmware::LINE_FEEDS),
     ("FTDI", Firmware::FTDI),
+    ("echoes", Firmware::ECHO),
+    ("forwards each frame twice", Firmware::DOUBLE),
 ];
 
 #[test]
@@ -156,10 +158,22 @@ fn nobody_is_absent_if_messages_of_nodes_were_dropped() {
 }
 
 #[test]
-fn an_adapter_that_echoes_is_no_other_master() {
-    let wire = Wire::new(RATE, &[0xFF, 5, 0xFF]);
-    let assigned = lss(&wire, Firmware::ECHO, "assign");
-    assert_eq!((assigned.code, &*assigned.error), (0, ""));
-    assert_eq!(assigned.remarks.len(), 1, "{:?}", assigned.remarks);
-    assert!(assigned.remarks[0].contains("the adapter echoes"), "{:?}", assigned.remarks);
+fn an_adapter_that_repeats_frames_is_named_and_neither_another_master_nor_another_board() {
+    for (firmware, words) in [
+        (Firmware::ECHO, "the adapter echoes"),
+        (Firmware::DOUBLE, "each frame comes twice, faster than a bus is: the adapter"),
+    ] {
+        for boards in [&[0xFF][..], &[5], &[0xFF, 5, 0xFF]] {
+            for command in ["list", "assign", "set-rate 250"] {
+                let outcome = lss(&Wire::new(RATE, boards), firmware, command);
+                assert_eq!(
+                    (outcome.code, &*outcome.error),
+                    (0, ""),
+                    "{words} {boards:?} {command}"
+                );
+                assert_eq!((outcome.remarks.len(), outcome.twice.len()), (1, 0), "{command}");
+                assert!(outcome.remarks[0].contains(words), "{:?}", outcome.remarks);
+            }
+        }
+    }
 }

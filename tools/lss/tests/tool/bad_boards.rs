@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use canopen_node::BitRate;
+use canopen_node::{BitRate, Frame};
 use testkit::{flash::Operation, slave_bus::Defect};
 
 use crate::{
@@ -488,6 +488,40 @@ fn a_node_without_sdo_is_known_by_its_heartbeat() {
         assert_eq!(switched.code, 1);
         let words = "node 5 does not tell its LSS address: it cannot be switched with the others";
         assert!(switched.error.starts_with(words), "{}", switched.error);
+    }
+}
+
+#[test]
+fn a_node_that_sends_process_data_alone_is_there() {
+    for cob_id in [0x181, 0x281, 0x381, 0x481] {
+        let wire = Wire::new(RATE, &[0xFF]);
+        let pdo = Frame::new(cob_id, &[]).expect("a frame");
+        let mut bus = wire.bus();
+        let begin = bus.now();
+        (0..100).for_each(|at| bus.send_from_another_master(begin + 100_000 * at, pdo));
+        drop(bus);
+        let listed = wire.lss("list");
+        assert_eq!((listed.code, listed.text.lines().count()), (0, 3), "{cob_id:X}");
+        assert!(listed.text.lines().nth(1).is_some_and(|row| row.starts_with("1  ")));
+        // Its node-ID is not given to another board.
+        assert_eq!(wire.lss("assign").code, 0);
+        assert_eq!(wire.ids(), [(Some(2), Some(2))], "{cob_id:X}");
+    }
+}
+
+#[test]
+fn a_node_without_sdo_tells_its_lss_address_to_lss_when_it_is_alone() {
+    for (boards, words) in [
+        (&[5][..], ""),
+        (&[5, 7], "node 5 can be asked for its LSS address only alone on the bus"),
+        (&[5, 0xFF], "node 5 can be asked for its LSS address only alone on the bus"),
+    ] {
+        let wire = Wire::with_heartbeat(RATE, boards, 1_000);
+        wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(usize::MAX));
+        let listed = wire.lss("list --ask");
+        assert_eq!(&*listed.error, words);
+        assert_eq!(listed.text.contains(&address_text(0)), words.is_empty(), "{}", listed.text);
+        wire.assert_waiting();
     }
 }
 

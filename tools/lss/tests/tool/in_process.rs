@@ -173,7 +173,8 @@ impl Wire {
     pub fn load(&self, pdos: u64, every_us: u64, seconds: u64) {
         let mut bus = self.bus();
         let begin = bus.now();
-        let pdo = Frame::new(0x1FF, &[0; 8]).expect("a frame");
+        // It is for node 127, and tells of no node.
+        let pdo = Frame::new(0x27F, &[0; 8]).expect("a frame");
         for at in (begin..begin + 1_000_000 * seconds).step_by(every_us as usize) {
             (0..pdos).for_each(|_| bus.send_from_another_master(at, pdo));
         }
