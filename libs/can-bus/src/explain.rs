@@ -294,6 +294,27 @@ fn sdo_abort(data: &[u8; 8]) -> String {
     format!("abort {}, code {code:08X}", object(data))
 }
 
+/// The width of a terminal in characters.
+const WIDTH: usize = 80;
+
+/// The text in lines that fit a terminal, of which the further ones begin with so many blanks.
+pub fn wrapped(text: &str, indent: usize) -> String {
+    let (mut lines, mut width) = (String::new(), 0);
+    for (number, word) in text.split(' ').enumerate() {
+        let length = word.chars().count();
+        if width > indent && width + 1 + length > WIDTH {
+            lines += &format!("\n{:indent$}", "");
+            width = indent;
+        } else if number > 0 {
+            lines.push(' ');
+            width += 1;
+        }
+        lines += word;
+        width += length;
+    }
+    lines
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -317,6 +338,17 @@ mod tests {
                 "device-specific"
             ]
         );
+    }
+
+    #[test]
+    fn a_long_line_is_wrapped_between_words() {
+        let text = "  passed  ".to_owned() + &"a rate ".repeat(20);
+        let lines = wrapped(&text, 10);
+        assert!(lines.lines().all(|line| line.chars().count() <= WIDTH), "{lines}");
+        assert_eq!(lines.lines().count(), 2);
+        assert_eq!(lines.replace("\n         ", ""), text);
+        let word = "x".repeat(100);
+        assert_eq!(wrapped(&word, 0), word);
     }
 
     #[test]

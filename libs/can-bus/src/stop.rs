@@ -23,6 +23,16 @@ pub enum Stop {
 
 impl std::error::Error for Stop {}
 
+impl Stop {
+    /// What was done at a bit rate; `None` if the adapter does not have it.
+    pub fn without_rate<T>(outcome: Result<T, Self>) -> Result<Option<T>, Self> {
+        match outcome {
+            Err(Self::NoBitRate(_)) => Ok(None),
+            outcome => outcome.map(Some),
+        }
+    }
+}
+
 impl fmt::Display for Stop {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

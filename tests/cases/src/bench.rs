@@ -236,7 +236,10 @@ impl<'a> Bench<'a> {
     /// Joins the bus at another bit rate; the case is skipped if the line cannot.
     pub fn open(&mut self, rate: BitRate) -> Step {
         self.needs_bit_rates()?;
-        Ok(self.adapter().open(rate, Mode::Normal)?)
+        match stop::Stop::without_rate(self.adapter().open(rate, Mode::Normal))? {
+            Some(()) => Ok(()),
+            None => self.skip(format!("this adapter lacks {rate}")),
+        }
     }
 
     /// The next frame that comes before `until`.

@@ -9,6 +9,7 @@ use emulator::{
 };
 use lss_slave::lss::{self, AddressPart, FastscanStep, Request};
 
+use can_bus::explain::wrapped;
 use testkit::explain::explain;
 
 const CHAPTER: Style = Style::new().bold();
@@ -20,6 +21,9 @@ const DIM: Style = Style::new().dimmed();
 
 /// The number of lines shown at the start of each part of a Fastscan, and at its end.
 const SHOWN: usize = 4;
+
+/// The column of a meaning.
+const MEANING: usize = 45;
 
 /// Prints to standard output, in colour if it is a terminal that supports it.
 pub struct Screen {
@@ -47,15 +51,15 @@ impl Screen {
     pub fn chapter(&mut self, headline: &str) -> anyhow::Result<()> {
         let mut out = anstream::stdout().lock();
         if self.chapters == 0 {
-            writeln!(out, "{DIM}{:>12}   {:<13}{:<5}{:<25}meaning{DIM:#}", "ms", "", "id", "data")?;
+            writeln!(out, "{DIM}{:>8} {:<7} {:<3} {:<23} meaning{DIM:#}", "ms", "", "id", "data")?;
         }
         self.chapters += 1;
-        Ok(writeln!(out, "\n{CHAPTER}{headline}{CHAPTER:#}")?)
+        Ok(writeln!(out, "\n{CHAPTER}{}{CHAPTER:#}", wrapped(headline, 0))?)
     }
 
     /// Prints text that is not an event.
     pub fn remark(&self, text: &str) -> anyhow::Result<()> {
-        Ok(writeln!(anstream::stdout(), "{REMARK}{text}{REMARK:#}")?)
+        Ok(writeln!(anstream::stdout(), "{REMARK}{}{REMARK:#}", wrapped(text, 0))?)
     }
 
     /// Prints the events since the last call; `events` holds the earlier ones too.
@@ -80,7 +84,7 @@ impl Screen {
                     writeln!(out, "{style}{text}{style:#}")?;
                 } else if at == folded.start {
                     let count = folded.len();
-                    writeln!(out, "{DIM}{:>12}   {count} more frames, bit by bit{DIM:#}", "...")?;
+                    writeln!(out, "{DIM}{:>8} {count} more frames, bit by bit{DIM:#}", "...")?;
                 }
             }
         }
@@ -96,9 +100,9 @@ fn is_of_several(event: &Event) -> bool {
 /// The line of an event, if it is of interest; `before` is the part scanned by the line before.
 fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
     let (style, who) = match event.source {
-        Source::Adapter(_) => (MASTER, "master ->".to_owned()),
-        Source::Board(_) if is_of_several(event) => (BOARD, "<- boards".to_owned()),
-        Source::Board(number) => (BOARD, format!("<- board {number}")),
+        Source::Adapter(_) => (MASTER, "master".to_owned()),
+        Source::Board(_) if is_of_several(event) => (BOARD, "boards".to_owned()),
+        Source::Board(number) => (BOARD, format!("board {number}")),
     };
     let plain = |text: String| Some((style, text, None));
     let (style, text, scanned) = match &event.what {
@@ -109,7 +113,10 @@ fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
             };
             let bytes: Vec<_> = frame.payload().iter().map(|byte| format!("{byte:02X}")).collect();
             let (id, bytes) = (frame.id.to_string(), bytes.join(" "));
-            let text = format!("{id:<5}{bytes:<25}{}", explain(frame));
+            let meaning = explain(frame);
+            // The COB-ID says so.
+            let meaning = meaning.strip_prefix("LSS ").unwrap_or(&meaning);
+            let text = format!("{id:<3} {bytes:<23} {meaning}");
             Some((style, text, scanned))
         }
         What::Error { kind, .. } => Some((ERROR, format!("error frame: {kind:?}"), None)),
@@ -127,7 +134,7 @@ fn line(event: &Event, before: Option<AddressPart>) -> Option<Line> {
         | What::InitializationLeft => None,
     }?;
     let milliseconds = event.time.as_us() as f64 / 1000.0;
-    let text = format!("{milliseconds:>12.3}   {who:<11}  {text}");
+    let text = wrapped(&format!("{milliseconds:>8.3} {who:<7} {text}"), MEANING);
     Some(Line { style, text, scanned })
 }
 

@@ -44,6 +44,8 @@ pub struct Bench {
     pub product: Product,
     /// The bit rates that the boards let LSS select.
     pub offered: Vec<BitRate>,
+    /// Those that the adapter lacks: the boards must not go there.
+    pub lacking: Vec<BitRate>,
     /// Whether they also let it select automatic detection.
     pub detects: bool,
     pub report: Report,
@@ -117,6 +119,11 @@ impl Bench {
     /// The active node-ID of a board that may still look for the bit rate, as in the frame.
     pub fn reached_node_id(&mut self, address: Address) -> Result<Option<u8>, Stop> {
         if self.reach(address, SEARCH)? { board::node_id(&mut self.bus, address) } else { Ok(None) }
+    }
+
+    /// Whether boards and adapter can go to a bit rate.
+    pub fn can_go(&self, rate: BitRate) -> bool {
+        self.offered.contains(&rate) && !self.lacking.contains(&rate)
     }
 
     /// A node-ID that no board has.

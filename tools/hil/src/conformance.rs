@@ -129,9 +129,9 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     for (groups, suffix) in chapters.iter().filter(has_case) {
         let mut report = Report::new(format!("{name}{suffix}"));
         ::conformance::run(&mut bench, groups, test.cases, &mut report, |finding| {
-            println!("{}", finding.line());
+            crate::report::show(&finding.line());
         })?;
-        println!("\n{}", report.summary());
+        crate::report::show(&format!("\n{}", report.summary()));
         reports.push(report);
     }
     ensure!(!reports.is_empty(), "no case begins with {}", test.cases.join(" or "));

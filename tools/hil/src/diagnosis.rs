@@ -38,13 +38,13 @@ pub fn find_rate(bus: &mut Bus, product: &Product, report: &mut Report) -> Resul
     };
 
     report.progress(&format!("listening at {first}"));
-    let heard = listen(bus, first)?;
+    let heard = Stop::without_rate(listen(bus, first))?.unwrap_or_default();
     let mut order = rates.clone();
     if heard.has_errors && heard.frames == 0 && rates.len() > 1 {
         report.bench("somebody sends at another bit rate than the default");
         for &rate in &rates[1..] {
             report.progress(&format!("listening at {rate}"));
-            if listen(bus, rate)?.frames > 0 {
+            if Stop::without_rate(listen(bus, rate))?.is_some_and(|sight| sight.frames > 0) {
                 order.retain(|other| *other != rate);
                 order.insert(0, rate);
                 break;
@@ -52,10 +52,13 @@ pub fn find_rate(bus: &mut Bus, product: &Product, report: &mut Report) -> Resul
         }
     }
 
-    let mut sights = Vec::new();
+    let (mut sights, mut lacking) = (Vec::new(), Vec::new());
     for rate in order {
         report.progress(&format!("asking at {rate}"));
-        let sight = ask(bus, product, rate)?;
+        let Some(sight) = Stop::without_rate(ask(bus, product, rate))? else {
+            lacking.push(rate.to_string());
+            continue;
+        };
         if sight.has_boards {
             if sight.has_errors {
                 report.bench("the adapter saw errors while the boards answered");
@@ -69,7 +72,11 @@ pub fn find_rate(bus: &mut Bus, product: &Product, report: &mut Report) -> Resul
         sights.push((rate, sight));
     }
     bus.leave();
-    Err(Stop::Bench(explain(&sights, heard, bus.fixed_rate())))
+    let mut words = explain(&sights, heard, bus.fixed_rate());
+    if !lacking.is_empty() {
+        words += &format!(". This adapter lacks {}: nobody was asked there", lacking.join(", "));
+    }
+    Err(Stop::Bench(words))
 }
 
 /// Listens without a sign of life on the bus.

@@ -175,6 +175,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
                 base: bus.rate(),
                 product,
                 offered: Vec::new(),
+                lacking: Vec::new(),
                 detects: false,
                 bus,
                 report,
@@ -188,7 +189,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());
             if let Some(reason) = &bench.report.stopped {
-                println!("  STOP    {reason}");
+                report::show(&format!("  STOP    {reason}"));
             }
             bench.restore();
             bench.report
@@ -198,7 +199,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             report
         }
     };
-    println!("{}", report.summary());
+    report::show(&report.summary());
     if let Some(path) = &arguments.report {
         let files =
             report.write(path).with_context(|| format!("cannot write {}", path.display()))?;

@@ -6,11 +6,13 @@ mod json;
 mod text;
 
 use std::{
-    fs, io,
+    fs,
+    io::{self, IsTerminal},
     path::{Path, PathBuf},
     time::Instant,
 };
 
+use can_bus::explain::wrapped;
 use serde::Serialize;
 
 pub use head::Head;
@@ -72,6 +74,19 @@ pub enum Left {
     Changed(String),
 }
 
+/// The column of the text in a line.
+const INDENT: usize = 10;
+
+/// Prints lines, of which those that are too long for a terminal are wrapped there.
+pub fn show(text: &str) {
+    for line in text.lines() {
+        match io::stdout().is_terminal() {
+            true => println!("{}", wrapped(line, INDENT)),
+            false => println!("{line}"),
+        }
+    }
+}
+
 pub struct Report {
     pub head: Head,
     pub bench: Vec<String>,
@@ -107,18 +122,18 @@ impl Report {
 
     /// Shows what is going on.
     pub fn progress(&self, what: &str) {
-        println!("  ...     {what}");
+        show(&format!("  ...     {what}"));
     }
 
     /// Adds a sentence about the bench.
     pub fn bench(&mut self, sentence: &str) {
-        println!("          {sentence}");
+        show(&format!("          {sentence}"));
         self.bench.push(sentence.to_owned());
     }
 
     /// Adds a line about a board.
     pub fn board(&mut self, line: String) {
-        println!("          {line}");
+        show(&format!("          {line}"));
         self.boards.push(line);
     }
 
@@ -174,7 +189,7 @@ impl Report {
     fn add(&mut self, what: String, outcome: Outcome, seen: String, expected: Option<String>) {
         let rule = self.rule.1.take().unwrap_or(self.rule.0);
         let check = Check { session: self.session, what, outcome, seen, expected, rule };
-        println!("{}", text::line(&check));
+        show(&text::line(&check));
         self.checks.push(check);
     }
 

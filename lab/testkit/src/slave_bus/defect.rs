@@ -13,6 +13,8 @@ use super::{Happening, Slave, SlaveBus, Source};
 pub enum Defect {
     /// It refuses the LSS requests that begin with these bytes.
     Refuses(&'static [u8]),
+    /// It stores once, and has this defect from then on.
+    StoresOnce(&'static Defect),
     /// It stores, and says that it cannot.
     DeniesItsStore,
     /// It has no power from store configuration on.
@@ -117,6 +119,10 @@ impl<A: Application + Clone> SlaveBus<A> {
                     rig.finish_store();
                 });
                 2
+            }
+            (Defect::StoresOnce(later), 0x17) => {
+                self.slaves[number].defect = Some(*later);
+                return false;
             }
             (Defect::DiesAtStore, 0x17) => {
                 self.happen(number, Happening::PowerOff);

@@ -71,7 +71,8 @@ impl Bench {
                 Some(home) => home,
             };
             let original = &mut self.boards[at].original;
-            original.bit_rate = match detecting.contains(&board.id) {
+            // One that is silent since its home is another bit rate does not detect it.
+            original.bit_rate = match detecting.contains(&board.id) && home == self.base {
                 true => BitRateSetting::Automatic,
                 false => home.into(),
             };
@@ -89,8 +90,17 @@ impl Bench {
         Ok(())
     }
 
-    /// Learns which bit rates the first board lets LSS select. A reset drops the one that it has accepted last.
+    /// Learns which bit rates the first board lets LSS select, and which ones the adapter lacks. A reset drops the one that
+    /// the board has accepted last.
     fn learn_rates(&mut self) -> Result<(), Stop> {
+        if self.bus.fixed_rate().is_none() {
+            for rate in BitRate::ALL {
+                if Stop::without_rate(self.bus.listen(rate))?.is_none() {
+                    self.lacking.push(rate);
+                }
+            }
+            self.bus.open(self.base)?;
+        }
         let _ = board::select(&mut self.bus, self.boards[0].address)?;
         let mut accepts = |index| {
             let answer = self.bus.ask(Request::ConfigureBitTiming { table: 0, index })?;

@@ -72,7 +72,9 @@ impl Bench {
                 {
                     continue;
                 }
-                self.bus.open(rate)?;
+                if Stop::without_rate(self.bus.open(rate))?.is_none() {
+                    continue;
+                }
                 let (mut still, count) = (Vec::new(), rest.len());
                 for (board, node_id, setting) in rest {
                     let limit = search_end.saturating_duration_since(Instant::now());
@@ -150,7 +152,10 @@ impl Bench {
             if let BitRateSetting::Fixed(rate) = bit_rate
                 && self.bus.fixed_rate().is_none()
             {
-                self.bus.open(rate)?;
+                if Stop::without_rate(self.bus.open(rate))?.is_none() {
+                    faults.push(format!("{board} has stored {rate} again, but the adapter lacks it: it was not seen there"));
+                    continue;
+                }
             }
             let id = self.reached_node_id(board.address)?;
             self.bus.request(Request::SwitchToWaiting)?;

@@ -25,9 +25,11 @@ fn rates(bench: &mut Bench) -> Vec<BitRate> {
         false => &BitRate::ALL,
     };
     let (mut rates, refused): (Vec<_>, Vec<_>) =
-        wanted.iter().copied().partition(|rate| bench.offered.contains(rate));
+        wanted.iter().copied().partition(|rate| bench.can_go(*rate));
     for rate in refused {
-        bench.report.not_tried(rate.to_string(), "the product does not offer it");
+        let is_lacking = bench.lacking.contains(&rate);
+        let who = if is_lacking { "the adapter lacks it" } else { "the product does not offer it" };
+        bench.report.not_tried(rate.to_string(), who);
     }
     rates.retain(|rate| *rate != bench.base);
     rates.push(bench.base);
@@ -46,7 +48,7 @@ pub fn can_change(bench: &mut Bench) -> bool {
 /// A rate other than the base rate that the boards offer, one of these if possible.
 pub fn another(bench: &Bench, preferred: &[BitRate]) -> Option<BitRate> {
     let mut rates = preferred.iter().chain(&bench.offered).copied();
-    rates.find(|rate| *rate != bench.base && bench.offered.contains(rate))
+    rates.find(|rate| *rate != bench.base && bench.can_go(*rate))
 }
 
 pub fn by_activation(bench: &mut Bench) -> Result<(), Stop> {

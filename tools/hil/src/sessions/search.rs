@@ -33,7 +33,7 @@ pub fn detection(bench: &mut Bench) -> Result<(), Stop> {
         _ => &[BitRate::Kbit1000, BitRate::Kbit500, BitRate::Kbit50, BitRate::Kbit10],
     };
     let base = bench.base;
-    let is_other = |rate: &BitRate| *rate != base && bench.offered.contains(rate);
+    let is_other = |rate: &BitRate| *rate != base && bench.can_go(*rate);
     let rates: Vec<_> = others.iter().copied().filter(is_other).chain([base]).collect();
     for rate in rates {
         bench.bus.nmt(RESET_NODE, 0)?;

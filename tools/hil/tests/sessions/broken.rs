@@ -13,6 +13,7 @@ use crate::{
     lone::Program,
     proxy::{self, Fault},
     run::{self, Run},
+    whole::stored,
 };
 
 fn run_with(fault: Fault, session: &str) -> Run {
@@ -24,6 +25,28 @@ fn run_with(fault: Fault, session: &str) -> Run {
 #[test]
 fn the_line_itself_is_no_fault() {
     run_with(Fault::None, "bursts").assert_good();
+}
+
+#[test]
+fn bit_rates_that_the_adapter_lacks_are_skipped_and_named() {
+    let boards = Emulated::start(&["--node-id", "5"]);
+    let adapter = proxy::start(boards.address, Fault::Esp32);
+    let run = run::run("esp32", &adapter, &["--session", "activate", "--session", "store"]);
+    run.assert_good();
+    let (_, end) = run.output.split_once("Not tried:").expect("something is not tried");
+    assert_eq!(end.matches("10 kbit/s: the adapter lacks it").count(), 2, "{end}");
+}
+
+#[test]
+fn a_board_whose_own_bit_rate_the_adapter_lacks_has_it_again() {
+    let flash = new_folder("esp32-flash");
+    let arguments = ["--node-id", "5", "--bit-rate", "20", "--flash", &flash.to_string_lossy()];
+    let boards = Emulated::start(&arguments);
+    let adapter = proxy::start(boards.address, Fault::Esp32);
+    let run = run::run("esp32-slow", &adapter, &["--session", "sdo"]);
+    assert_eq!((run.failures(), run.is_success), (vec![], false));
+    assert!(run.output.contains("has stored 20 kbit/s again, but the adapter lacks it"));
+    assert_eq!(stored(&flash), (5, 7));
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub enum Fault {
     PowerCut,
     /// The board sends one heartbeat after a boot-up, as a port that never says that no frame is pending.
     OneHeartbeat,
+    /// An ESP32 is the adapter: it lacks 10, 20 and 50 kbit/s, cannot listen only, and reports no errors.
+    Esp32,
     /// The connection ends at the first 17, and at each one after it.
     Vanishes,
     /// The connection ends at the first 17.
@@ -123,6 +125,8 @@ fn of_request(line: &str, fault: Fault, state: &Mutex<State>, bus: &TcpStream) -
             state.requests_due += 1;
             Fate::Forward
         }
+        Fault::Esp32 if ["S0\r", "S1\r", "S2\r", "L\r"].contains(&line) => Fate::Answer("\x07"),
+        Fault::Esp32 if is("F") => Fate::Answer("F00\r"),
         Fault::NoStore if is("t7E5817") => Fate::Answer("z\rt7E481700000000000000\r"),
         Fault::PowerCut if is("t7E581101") => {
             let mut bus = bus.try_clone().expect("a socket");

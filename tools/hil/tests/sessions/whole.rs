@@ -26,7 +26,7 @@ use crate::{
 pub const HANDS: [&str; 5] = ["--session", "hands", "--ask", "always", "--quick"];
 
 /// The settings in the flash file of the first board: node-ID or FF, and the index of the bit rate.
-fn stored(folder: &Path) -> (u8, u8) {
+pub fn stored(folder: &Path) -> (u8, u8) {
     let flash = fs::read(folder.join("board-0.bin")).expect("a flash file");
     let log = flash[SETTINGS_OFFSET as usize..][..SETTINGS_LENGTH].to_vec();
     let settings =

@@ -88,7 +88,8 @@ pub fn configure(session: &mut Session<'_>, gift: Gift, stores: bool) -> Result<
     };
     let outcome = work();
     if outcome.is_err() {
-        take_back(session, before, may_be_stored);
+        // The failure is known, and another one adds nothing.
+        let _ = take_back(session, before, may_be_stored);
     }
     outcome
 }
@@ -96,14 +97,18 @@ pub fn configure(session: &mut Session<'_>, gift: Gift, stores: bool) -> Result<
 /// Makes the node-ID pending again that a board had `before`: it must not take another one at the end of LSS
 /// configuration state, nor must others that another master has brought there. It is stored again, too, if the other
 /// one may be stored.
-fn take_back(session: &mut Session<'_>, before: Option<NodeId>, may_be_stored: bool) {
+fn take_back(
+    session: &mut Session<'_>,
+    before: Option<NodeId>,
+    may_be_stored: bool,
+) -> Result<(), Failure> {
     session.bus.mind(Masters::None);
-    // The failure is known, and this one adds nothing.
-    let _ = match may_be_stored {
+    let outcome = match may_be_stored {
         true => session.carry_out(Configure::node_id(before)),
         false => session.carry_out(Request::ConfigureNodeId(NodeId::to_lss(before))),
     };
     session.bus.mind(Masters::Lss);
+    outcome
 }
 
 /// Takes a stored node-ID back from a board that does not use it, and must not do so later, or that shares it with
@@ -116,19 +121,30 @@ fn withdraw(session: &mut Session<'_>, gift: Gift) -> Result<Option<Failure>, Fa
     };
     session.carry_out(SelectAlone::new(address))?;
     let has_it = session.carry_out(InquireNodeId)? == to;
-    if !has_it || other.is_some() {
-        take_back(session, before, true);
+    if has_it && other.is_none() {
+        return Ok(None);
     }
+    let taken_back = take_back(session, before, true);
     let (true, Some(other), Some(id)) = (has_it, other, to.map(NodeId::get)) else {
         return Ok(None);
     };
-    take_effect(session, Gift { before: to, to: before, ..gift }, RESET_COMMUNICATION)?;
-    let rows = rows::node(session, id, &[other])?;
-    let text = rows.iter().find_map(|row| row.lss_address).as_ref().map(address::text);
+    // One that has stored what it had is reset: it proves that.
+    let command = if taken_back.is_ok() { RESET_NODE } else { RESET_COMMUNICATION };
+    let back = take_effect(session, Gift { before: to, to: before, ..gift }, command);
+    let fate = match (taken_back, back) {
+        (_, Err(stop @ Failure::Stop(_))) => return Err(stop),
+        (_, Err(why)) => format!("it cannot be taken back from this one: {why}"),
+        (Ok(()), Ok(_)) => "it was taken back from this one, which has stored that".into(),
+        (Err(why), Ok(_)) => format!(
+            "it was taken back from this one until its next start, since that is not stored: {why}"
+        ),
+    };
+    // Both may still answer.
+    let rows = rows::node(session, id, &[address.serial_number, other])?;
+    let mut addresses = rows.iter().filter_map(|row| row.lss_address);
+    let text = addresses.find(|it| it.serial_number == other).as_ref().map(address::text);
     let other = text.unwrap_or_else(|| format!("with the serial number {other:08X}"));
-    Ok(Some(Failure::Refused(format!(
-        "board {other} has node-ID {id}, too: it was taken back from this one, which has stored that"
-    ))))
+    Ok(Some(Failure::Refused(format!("board {other} has node-ID {id}, too: {fate}"))))
 }
 
 /// The serial number of another board than that with this LSS address, among those that a node-ID tells. 0 may be a

@@ -153,8 +153,11 @@ pub fn node(
     let mut numbers = [None; 3];
     for (number, sub_index) in numbers.iter_mut().zip(1..) {
         *number = match is_duplicate {
-            // Each of them may answer.
-            true => nodes::answers_of(session, id, sub_index)?.first().copied(),
+            // Each of them may answer. If they differ, it is not known which answer is whose.
+            true => match nodes::answers_of(session, id, sub_index)?[..] {
+                [one, ref others @ ..] if others.iter().all(|other| *other == one) => Some(one),
+                _ => None,
+            },
             false => sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?.ok(),
         };
     }

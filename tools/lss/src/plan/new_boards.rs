@@ -283,12 +283,17 @@ impl Work {
         }
         let nodes = if is_moved { nodes::nodes(session)? } else { nodes };
         for (id, numbers) in nodes.into_iter().filter(|(_, numbers)| numbers.len() > 1) {
-            let twins = rows::twins(&rows::node(session, id, &numbers)?).pop();
-            self.done.problems.push(twins.unwrap_or_else(|| {
+            let rows = rows::node(session, id, &numbers)?;
+            let addresses: Vec<String> =
+                rows.iter().filter_map(|row| row.lss_address.as_ref()).map(address::text).collect();
+            let boards = match addresses.is_empty() {
+                true => format!("serial numbers {}", address::parts(&numbers)),
+                false => format!("LSS addresses {}", addresses.join(", ")),
+            };
+            self.done.problems.push(rows::twins(&rows).pop().unwrap_or_else(|| {
                 format!(
-                    "{} boards have node-ID {id}, with the serial numbers {}: give all but one another (lss set-id --reset)",
+                    "{} boards have node-ID {id}, with the {boards}: give all but one another (lss set-id --reset)",
                     numbers.len(),
-                    address::parts(&numbers)
                 )
             }));
         }

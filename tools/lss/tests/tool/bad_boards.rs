@@ -418,8 +418,9 @@ fn boards_that_share_a_node_id_are_named() {
     wire.record().may_collide = true;
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1);
-    let words = "2 boards have node-ID 5, with the serial numbers 00001000, 00001001: give all but";
-    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+    let boards = [0, 1].map(address_text).join(", ");
+    let words = format!("2 boards have node-ID 5, with the LSS addresses {boards}: give all but");
+    assert!(outcome.error.starts_with(&words), "{}", outcome.error);
     assert_eq!(wire.ids()[2], (Some(1), Some(1)));
 }
 
@@ -453,25 +454,60 @@ fn a_board_with_the_serial_number_of_another_product_is_not_the_one() {
     }
 }
 
-#[test]
-fn a_node_id_that_turns_out_to_be_shared_is_taken_back_and_both_boards_are_named() {
+/// Two boards, of which the second has been given the node-ID of the first, and what was told.
+fn shared(defect: Option<Defect>) -> (Wire, String) {
     let wire = Wire::new(RATE, &[1, 0xFF]);
     wire.record().may_collide = true;
+    let mut bus = wire.bus();
     // The other one answers first.
-    wire.bus().slaves[1].habits.other_us = 200..201;
+    bus.slaves[1].habits.other_us = 200..201;
     // Nobody knows of it when node-ID 1 is given.
-    wire.bus().slaves[0].defect = Some(Defect::LosesAnswers(2));
+    bus.slaves[0].defect = Some(Defect::LosesAnswers(2));
+    bus.slaves[1].defect = defect;
+    drop(bus);
     let outcome = wire.lss("assign");
     let [known, new] = [0, 1].map(address_text);
-    let words = format!(
-        "board {new}: board {known} has node-ID 1, too: it was taken back from this one, which has stored that"
-    );
-    assert_eq!((outcome.code, outcome.error), (1, words));
+    let start = format!("board {new}: board {known} has node-ID 1, too: it ");
+    assert_eq!(outcome.code, 1);
+    let fate = outcome.error.strip_prefix(&start).unwrap_or_else(|| panic!("{}", outcome.error));
+    let fate = fate.lines().next().unwrap_or_default().to_owned();
+    (wire, fate)
+}
+
+#[test]
+fn a_node_id_that_turns_out_to_be_shared_is_taken_back_and_both_boards_are_named() {
+    let (wire, fate) = shared(None);
+    assert_eq!(fate, "was taken back from this one, which has stored that");
     wire.record().may_collide = false;
     assert_eq!(wire.ids(), [(Some(1), Some(1)), (None, None)]);
     wire.power_cycle();
     assert_eq!(wire.lss("assign").code, 0);
     assert_eq!(wire.ids(), [1, 2].map(|id| (Some(id), Some(id))));
+}
+
+#[test]
+fn what_a_board_that_shares_a_node_id_has_not_stored_is_told() {
+    for (defect, words, ids) in [
+        (
+            Defect::StoresOnce(&Defect::Refuses(&[0x17])),
+            "was taken back from this one until its next start, since that is not stored: store configuration is refused",
+            (None, Some(1)),
+        ),
+        (
+            Defect::StoresOnce(&Defect::Forgets),
+            "cannot be taken back from this one: it accepted node-ID none, but has 1 after a reset",
+            (Some(1), Some(1)),
+        ),
+        (
+            Defect::Refuses(&[0x11, 0xFF]),
+            "cannot be taken back from this one: it accepted node-ID none, but has 1 after a reset",
+            (Some(1), Some(1)),
+        ),
+    ] {
+        let (wire, fate) = shared(Some(defect));
+        assert!(fate.starts_with(words), "{defect:?}: {fate}");
+        assert_eq!(wire.ids()[1], ids, "{defect:?}");
+    }
 }
 
 #[test]
