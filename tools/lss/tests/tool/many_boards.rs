@@ -182,6 +182,17 @@ fn the_127_known_boards_of_a_network_are_verified_within_300_ms() {
     assert!(outcome.us_to_last_known <= 300_000, "{} us", outcome.us_to_last_known);
 }
 
+#[test]
+fn the_lss_addresses_of_two_products_with_one_node_id_are_not_mixed() {
+    let address = |product_code, serial_number| Address { product_code, serial_number, ..ADDRESS };
+    // Answers at the same moment would be one frame.
+    let takes = |us: u64| Habits { other_us: us..us + 1, ..Habits::default() };
+    let boards = vec![(slave(address(7, 1), 5), takes(100)), (slave(address(8, 2), 5), takes(250))];
+    let outcome = Slaves::new(boards, &mut Random::from_seed(1)).lss("assign --bit-rate 1000");
+    let words = "2 boards have node-ID 5, with the serial numbers 00000001, 00000002: give all but";
+    assert!(outcome.error.starts_with(words), "{}", outcome.error);
+}
+
 /// The slaves of ours in the mixed network.
 const OURS: u8 = 20;
 
