@@ -1,5 +1,17 @@
 //! The chip on its board: the file that its feature chooses.
 //!
+//! Another chip of embassy-stm32 with CAN1 or FDCAN1 comes in four steps:
+//!
+//! 1. `chip/` gets a file named as its feature, which begins with `stm32`: a copy of the nearest, with pins, crystal and
+//!    LEDs of the board. The compiler finds what has another name: interrupts (`TIM16_FDCAN_IT0` on an STM32G0),
+//!    registers, the bank.
+//! 2. It does not find two things there. `clear_double_error` clears ECCD if the flash has an error-correcting code, in
+//!    both registers of an STM32G0B1. `freeze_in_a_halt` of an STM32G0 first gives DBGMCU a clock: DBGEN in RCC_APBENR1.
+//! 3. A line below names that file. A file `.x` beside the others has the memory but the settings.
+//! 4. The feature, in `Cargo.toml`, has the controller, the chip, a timer for embassy's clock, and `single-bank` or
+//!    `dual-bank` if embassy-stm32 asks for one. The timer is not TIM2, which is the node's, and does not share an
+//!    interrupt with the controller, as TIM16 and TIM17 of an STM32G0 do.
+//!
 //! The flash drivers of embassy-stm32 0.6.0, and the way round:
 //!
 //! - On an STM32F4 it programs words, for a supply of at least 2.7 V, and does not reset the data cache of a chip with

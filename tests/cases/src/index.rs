@@ -50,7 +50,7 @@ fn cases(root: &Path) -> io::Result<String> {
         ("CiA 301, our own", OWN),
         ("CiA 305", LSS),
     ] {
-        text += &format!("\n| {name} | about | file |\n|---|---|---|\n");
+        text += &format!("\n{name}:\n\n");
         let of_group = |group: &Group| {
             let named = format!("name: \"{}\"", group.name);
             files.iter().find(|(_, text)| text.contains(&named)).ok_or(io::ErrorKind::NotFound)
@@ -61,7 +61,7 @@ fn cases(root: &Path) -> io::Result<String> {
             let ranges = of_file.map(|(group, _)| range(group)).collect::<Vec<_>>();
             let path = path.strip_prefix(root).unwrap_or(path).display();
             if !ranges.is_empty() {
-                text += &format!("| {} | {} | `{path}` |\n", ranges.join(", "), about(source));
+                text += &format!("- {}: `{path}`\n  {}.\n", ranges.join(", "), about(source));
             }
         }
     }
