@@ -3,6 +3,89 @@
 use crate::{BitRate, BusEvent, Frame, Numbers, Receives, Service, Services, indicator::BusState};
 
 /// A CAN controller. No call may wait for the bus.
+///
+/// This is a whole one, over a driver with a single transmit buffer and without filters:
+///
+/// ```
+/// use canopen_node::{
+///     BitRate, Frame, Numbers, Receives, Service, Services, bit_rate::BitTiming,
+///     indicator::BusState, runner::{BusError, Controller, Mode, Received},
+/// };
+/// # const CAN_HZ: u32 = 40_000_000;
+/// # enum ReadError { Overrun, Empty }
+/// # struct Driver;
+/// # impl Driver {
+/// #     fn with(_: BitTiming, _listens: bool) -> Self { Self }
+/// #     fn read(&mut self) -> Result<Frame, ReadError> { Err(ReadError::Empty) }
+/// #     fn write(&mut self, _: u16, _: &[u8]) {}
+/// #     fn is_empty(&self) -> bool { true }
+/// #     fn has_sent(&self) -> bool { true }
+/// #     fn abort(&mut self) {}
+/// #     fn last_error(&mut self) -> Option<BusError> { None }
+/// #     fn counters(&self) -> (u8, u8) { (0, 0) }
+/// #     fn is_bus_off(&self) -> bool { false }
+/// # }
+///
+/// const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
+///
+/// struct Can {
+///     driver: Driver,
+///     sending: Option<Service>,               // of the frame in the buffer
+/// }
+///
+/// impl Controller for Can {
+///     fn start<N: Numbers>(
+///         &mut self, mode: Mode, bit_rate: BitRate, _receives: &Receives<N>,
+///     ) -> bool {
+///         let Some(timing) = TIMINGS[usize::from(bit_rate.index())] else { return false };
+///         self.sending = None;
+///         self.driver = Driver::with(timing, mode == Mode::Listen);
+///         true
+///     }
+///
+///     fn receive(&mut self) -> Option<Received> {
+///         match self.driver.read() {
+///             Ok(frame) => Some(Frame::received(&frame).into()),
+///             Err(ReadError::Overrun) => Some(Received::Overrun),
+///             Err(ReadError::Empty) => None,
+///         }
+///     }
+///
+///     fn send(&mut self, frame: &Frame, service: Service) -> bool {
+///         let is_free = self.sending.is_none();
+///         if is_free {
+///             self.driver.write(frame.cob_id(), frame.data());
+///             self.sending = Some(service);
+///         }
+///         is_free
+///     }
+///
+///     fn take_sent(&mut self) -> Services {
+///         let finished = self.sending.take_if(|_| self.driver.is_empty());
+///         finished.filter(|_| self.driver.has_sent()).map_or(Services::NONE, Services::of)
+///     }
+///
+///     fn is_idle(&mut self) -> bool { self.sending.is_none() }
+///
+///     fn drop_frames(&mut self, services: Services) {
+///         if self.sending.is_some_and(|service| services.has(service)) {
+///             self.driver.abort();
+///         }
+///     }
+///
+///     fn take_error(&mut self) -> Option<BusError> { self.driver.last_error() }
+///
+///     fn error_counters(&self) -> (u8, u8) { self.driver.counters() }
+///
+///     fn bus_state(&self) -> BusState {
+///         match self.driver.counters() {
+///             _ if self.driver.is_bus_off() => BusState::BusOff,
+///             (..96, ..96) => BusState::Good,
+///             _ => BusState::Warning,
+///         }
+///     }
+/// }
+/// ```
 pub trait Controller {
     /// Runs at `bit_rate` from now on, drops what it was to send and what it has received, leaves bus-off and lets the
     /// frames `receives` pass. It must not wait for an idle bus, which may never come: the controller joins by itself.
