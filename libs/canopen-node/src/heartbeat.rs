@@ -229,7 +229,7 @@ pub struct Producer {
     time_ms: u16,
 }
 
-/// The knowledge of the node of an entry.
+/// What is known of the node of an entry.
 #[derive(Clone, Copy, Debug)]
 enum Watch {
     /// Nothing was received yet.

@@ -101,8 +101,8 @@ impl<N: Numbers> Communication<N> {
         Self::IS_USED && mem::take(&mut self.has_new_receives)
     }
 
-    /// Handles a frame that may be a PDO, SYNC or a heartbeat; returns whether its lack may have a deadline, as that of
-    /// all but SYNC.
+    /// Handles a frame that may be a PDO, SYNC or a heartbeat. Returns whether the next deadline may have changed: a
+    /// heartbeat or an RPDO begins its time anew. A SYNC has no time.
     pub fn handle_frame<A: Application>(
         &mut self,
         frame: &Frame,

@@ -67,6 +67,7 @@ impl Reception {
         }
         let micros = pdo.event_timer_micros();
         self.deadline = (micros > 0).then(|| now.plus_micros(micros));
+        // Types 0 to 240 are synchronous: the data takes effect at the next SYNC.
         if pdo.transmission_type <= 240 {
             if !is_window_over {
                 self.waiting = Some(frame.padded_data());
@@ -90,6 +91,7 @@ impl Reception {
     pub fn poll(&mut self, now: Instant) -> bool {
         let is_late = self.deadline.take_if(|deadline| deadline.has_come(now)).is_some();
         if is_late {
+            // It ends with the next frame, whose length replaces it.
             self.fault = Some(LATE);
         }
         is_late

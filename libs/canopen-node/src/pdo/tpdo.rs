@@ -40,6 +40,7 @@ impl Transmission {
 
     /// The same with other parameters. The inhibit time goes on.
     pub fn renewed(&self, cob_id: u16, pdo: &Pdo) -> Self {
+        // Else a master that writes the parameters again could make it send too often.
         let inhibited_until = self.inhibited_until;
         Self { inhibited_until, ..Self::new(cob_id, pdo.mapping.heeded().to_le_bytes()) }
     }
@@ -79,6 +80,7 @@ impl Transmission {
 
     /// The end of the event timer, if it is over and the TPDO may be sent.
     pub fn is_timed_out(&self, now: Instant) -> Option<Instant> {
+        // An event timer that ends within the inhibit time waits for the end of that.
         let event_at = self.event_at.filter(|_| self.inhibited_until.is_none())?;
         event_at.is_over(now).then_some(event_at.end())
     }

@@ -50,6 +50,7 @@ impl BlockDownload {
         objects: &mut O,
         buffer: &mut [u8],
     ) -> Result<Option<Message>, Abort> {
+        // Segments count from 1: 80h would be the last segment with number 0, and is an abort.
         let number = command & !LAST;
         if number == 0 {
             return Err(Abort::SequenceNumber);
@@ -62,6 +63,7 @@ impl BlockDownload {
         self.is_in_block = !is_last;
         let is_in_sequence = number == self.last.wrapping_add(1);
         if is_in_sequence {
+            // The segment before was not the last of all, so all of its bytes count.
             self.release(0, objects, buffer)?;
             self.held = Some(data);
             self.last = number;
@@ -74,6 +76,7 @@ impl BlockDownload {
             false => BLOCK_SIZE,
         };
         let answer = Message::segment(0xA2, [self.last, next, 0, 0, 0, 0, 0]);
+        // The last segment of all may come after a lost one: then the client repeats both in the next block.
         let is_complete = is_in_sequence && command & LAST != 0;
         (self.is_in_block, self.last) = (!is_complete, 0);
         Ok(Some(answer))

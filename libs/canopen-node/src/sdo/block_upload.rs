@@ -86,6 +86,7 @@ impl BlockUpload {
         }
         if confirmed == self.sent && self.phase == Phase::Waiting && self.upload.is_complete() {
             self.phase = Phase::Ending;
+            // The last segment of 14 bytes is full, but the only one of no bytes is empty.
             let last = (self.upload.len() % 7) as u8;
             let unused =
                 if last > 0 || self.upload.len() == 0 { 7_u8.saturating_sub(last) } else { 0 };
@@ -95,6 +96,7 @@ impl BlockUpload {
         if !BLOCK_SIZES.contains(&block_size) {
             return Err(Abort::BlockSize);
         }
+        // The next block begins with the first segment that the client lacks. Only the last of all is shorter than 7.
         self.block_start = self.block_start.saturating_add(7 * u32::from(confirmed));
         self.upload.offset = self.block_start;
         (self.block_size, self.sent, self.phase) = (block_size, 0, Phase::Sending);

@@ -223,6 +223,7 @@ impl Supervision {
     pub fn command(&mut self, rate: BitRate, silent_until: Instant) {
         let before = self.bit_rate();
         if rate == before {
+            // A guest has heard the others at this rate.
             self.is_proven |= self.place == Place::Guest;
         } else {
             self.is_proven = !self.is_enabled;
@@ -308,6 +309,7 @@ impl Supervision {
             Place::Home | Place::Pause if !self.is_proven && self.trusted_until.is_none() => {
                 let fastest = self.next_rate(BitRate::Kbit10);
                 let other = if fastest == self.home { self.next_rate(fastest) } else { fastest };
+                // After a switch the others may still be at the rate before, if they have missed it.
                 self.found = self.previous.take().unwrap_or(other);
                 self.stays = 0;
                 self.stay(now);
@@ -354,6 +356,7 @@ impl Supervision {
     fn end_stay(&mut self, now: Instant) {
         let has_heard = self.errors > 0;
         match self.place {
+            // Nobody has acknowledged. A frame that is repeated without a pause keeps slower nodes from joining.
             Place::Home => {
                 self.pause(now);
                 self.step = Some(Step::DropFrames);
@@ -392,6 +395,7 @@ impl Supervision {
     }
 
     fn pause_end(&self, now: Instant) -> Instant {
+        // Boards that pause together would begin again together, so each waits for a time of its own.
         now.plus_micros(PAUSE_MICROS + PAUSE_STEP_MICROS * (self.serial_number & 0xFF))
     }
 

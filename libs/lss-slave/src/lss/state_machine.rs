@@ -231,6 +231,7 @@ impl StateMachine {
     }
 
     fn switch_to_waiting(&mut self) -> Option<Reaction> {
+        // A node that had another node-ID keeps it until NMT reset communication.
         let was_configured_just_now = self.state == State::Configuration
             && self.active_node_id.is_none()
             && self.pending_node_id.is_some();
@@ -287,6 +288,8 @@ impl StateMachine {
             self.fastscan = Some(AddressPart::VendorId);
             return Some(Identified);
         }
+        // The bits from BitCheck up to bit 31 must be equal. A shift by 32 or more, of a BitCheck that CiA 305 does not
+        // define, has no result: no answer.
         let difference = self.address_part(part) ^ step.id_number;
         if step.sub != part as u8 || difference.checked_shr(step.bit_check.into())? != 0 {
             return None;

@@ -350,7 +350,9 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let Some(uncertain) = self.uncertain.filter(|it| before != Some(*it)) else {
             return outcome;
         };
+        // The refused record may read as valid at a later start. The old settings behind it win then.
         if self.space.len::<F>() == 0 {
+            // The first of the places that are left to starts.
             self.space.range.end = self.space.range.end.saturating_add(F::PLACE);
         }
         if self.put(self.settings(), None).is_err()
