@@ -20,7 +20,10 @@ use testkit::{
     node_rig::{ADDRESS, defaults, device},
 };
 
-use crate::{process_data::Machine, program::Loader};
+use crate::{
+    process_data::{Machine, With},
+    program::Loader,
+};
 
 /// The bus while nothing happens.
 const IDLE: Sample = Sample { is_recessive: true, is_transmitting: false };
@@ -320,7 +323,38 @@ fn frames_that_find_no_room_are_dropped() {
     board.receive(&["04 01"]);
     (0..30).for_each(|_| board.receive(&["5E"]));
     board.free_bus();
-    assert_eq!(board.take_sent().texts().len(), 1 + 16);
+    assert_eq!(board.take_sent().texts().len(), 1 + 24);
+}
+
+#[test]
+fn there_is_room_for_every_tpdo_and_for_all_other_services() {
+    let device = device(ADDRESS).with_defaults(defaults(5)).with_heartbeat_ms(100);
+    let mut board = Board::with_application(device, With::<16, 16, 2>::new());
+    board.pass_ms(1);
+    for number in 5..=16 {
+        let [at, cob_id] = [number - 1, number].map(|byte| format!("{byte:02X}"));
+        board.receive(&[
+            &format!("605: 2F {at} 1A 00 00 00 00 00"),
+            &format!("605: 23 {at} 1A 01 08 01 00 60"),
+            &format!("605: 2F {at} 1A 00 01 00 00 00"),
+            &format!("605: 23 {at} 18 01 {cob_id} 04 00 00"),
+        ]);
+    }
+    board.receive(&["04 01"]);
+    board.pass_ms(100);
+    board.take_sent();
+    board.chip().is_bus_free = false;
+    board.receive(&["000: 01 05", "080: "]);
+    board.runner.report(0xFF01, 0, [0; 5]);
+    board.receive(&["605: 40 00 10 00 00 00 00 00", "5E", "5A", "5B"]);
+    board.pass_ms(100);
+    board.free_bus();
+    let sent = board.take_sent().0;
+    let count = |range: std::ops::RangeInclusive<u16>| {
+        sent.iter().filter(|frame| range.contains(&frame.cob_id())).count()
+    };
+    assert_eq!(count(0x181..=0x410), 14, "TPDOs: {sent:?}");
+    assert_eq!([0x085, 0x585, 0x705, 0x7E4].map(|id| count(id..=id)), [1, 1, 1, 3], "{sent:?}");
 }
 
 /// A handler of the runner.

@@ -4,9 +4,14 @@ use core::cell::Cell;
 
 use crate::{Frame, Service, Services};
 
-/// The capacity of the queue. An LSS or SDO answer wins the arbitration against the next request, so only a bus full of
-/// other frames fills the queue.
-const CAPACITY: usize = 16;
+/// The most TPDOs that wait: each at its latest value.
+const TPDOS: usize = 16;
+/// Boot-up, emergency message and heartbeat, of which the node has one wait.
+const MESSAGES: usize = 3;
+/// The most answers of LSS and SDO that wait. They win the arbitration against the next request, so these are the answers
+/// to what a controller has received at a time: three frames in bxCAN, five in others.
+const ANSWERS: usize = 5;
+const CAPACITY: usize = TPDOS + MESSAGES + ANSWERS;
 
 /// The pending frames.
 #[derive(Debug)]
