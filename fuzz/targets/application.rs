@@ -151,7 +151,7 @@ fn step(board: &mut Board, [kind, ms, data @ ..]: [u8; 10]) {
 /// A reset of communication leads to the COB-IDs of a power cycle, which takes all that is stored.
 fn check(board: &mut Board) {
     board.nmt("82 00");
-    let is_undisturbed = board.may_transmit && board.node.nmt_state() == State::PreOperational;
+    let is_undisturbed = !board.is_quiet && board.node.nmt_state() == State::PreOperational;
     let (node_id, receives) = (board.node.node_id(), board.node.receives());
     let parameters = board.stored_parameters().to_vec();
     board.restart();

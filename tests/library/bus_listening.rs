@@ -63,8 +63,8 @@ fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
 #[test]
 fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
     for (heard_at_ms, expected) in [
-        (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s", "200 ms resume"]),
-        (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s", "300 ms resume"]),
+        (150, &["100 ms listen at 1000 kbit/s", "150 ms 1000 kbit/s"]),
+        (300, &["100 ms listen at 1000 kbit/s", "300 ms 1000 kbit/s"]),
     ] {
         let mut board = fixed();
         board.configure("13 00 09");
@@ -73,7 +73,7 @@ fn activation_listens_after_one_delay_and_sends_after_two_at_the_earliest() {
         board.pass_ms(heard_at_ms);
         assert_eq!(board.receive(&frames::stranger()), SILENCE);
         board.pass_ms(1000 - heard_at_ms);
-        assert_eq!(board.timeline(), [&["0 ms stop"][..], expected].concat());
+        assert_eq!(board.timeline(), [&["0 ms drop all"][..], expected].concat());
         assert_eq!(board.lss("5E"), ["5E 40"], "still in configuration state");
     }
 }
@@ -88,7 +88,7 @@ fn in_the_second_delay_the_search_restarts_at_the_fastest_after_silence() {
     board.see(BusEvent::Error);
     board.pass_ms(6_000);
     let expected = [
-        "0 ms stop",
+        "0 ms drop all",
         "5000 ms listen at 1000 kbit/s",
         "6000 ms listen at 800 kbit/s",
         "6040 ms listen at 800 kbit/s",
@@ -106,7 +106,7 @@ fn activating_automatic_detection_again_keeps_the_rate_found() {
     board.timeline();
     board.lss("15 0A 00");
     board.pass_ms(100);
-    assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume"]);
+    assert_eq!(board.timeline(), ["0 ms drop all"]);
     assert_eq!(board.bit_rate(), BitRate::Kbit800);
 }
 
@@ -144,7 +144,7 @@ fn the_first_valid_frame_decides_and_is_not_obeyed() {
             board.timeline();
             assert_eq!(board.receive(&first), ["740: 00"], "the boot-up");
             let rate = format!("0 ms {kbit_per_s} kbit/s");
-            assert_eq!(board.timeline(), [&rate, "0 ms resume", "0 ms 740: 00"]);
+            assert_eq!(board.timeline(), [&rate, "0 ms 740: 00"]);
             assert!(!board.is_in_configuration_state());
             assert_eq!(board.node.nmt_state(), State::PreOperational);
         }

@@ -31,9 +31,8 @@ fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
             assert_eq!(board.pass_us(u64::from(2_000 * switch_ms - 1)), SILENCE);
             assert_eq!(board.pass_us(1), ["740: 7F"]);
             let switch = format!("{switch_ms} ms 500 kbit/s");
-            let [resume, heartbeat] =
-                ["resume", "740: 7F"].map(|act| format!("{} ms {act}", 2 * switch_ms));
-            assert_eq!(board.timeline(), ["0 ms stop", &switch, &resume, &heartbeat]);
+            let heartbeat = format!("{} ms 740: 7F", 2 * switch_ms);
+            assert_eq!(board.timeline(), ["0 ms drop all", &switch, &heartbeat]);
         }
     }
 }
@@ -42,7 +41,7 @@ fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
 fn delay_0_switches_and_sends_at_once_and_does_not_close_can_for_good() {
     let mut board = ready_to_switch(100);
     assert_eq!(board.lss("15 00 00"), ["740: 7F"]);
-    let timeline = ["0 ms stop", "0 ms 500 kbit/s", "0 ms resume", "0 ms 740: 7F"];
+    let timeline = ["0 ms drop all", "0 ms 500 kbit/s", "0 ms 740: 7F"];
     assert_eq!(board.timeline(), timeline);
     assert_eq!(board.lss("5E"), ["5E 40"]);
     assert_eq!(board.pass_ms(100), ["740: 7F"]);
@@ -95,7 +94,7 @@ fn lss_requests_are_ignored_in_the_silent_periods_and_served_at_their_end() {
             board.pass_us(at_us);
             assert_eq!(board.lss(request), SILENCE, "{request} after {at_us} us");
             board.pass_us(200_000 - at_us);
-            let timeline = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"];
+            let timeline = ["0 ms drop all", "100 ms 500 kbit/s"];
             assert_eq!(board.timeline(), timeline, "{request} after {at_us} us");
             assert_eq!(board.lss("5E"), ["5E 40"], "{request} after {at_us} us");
             assert_eq!(board.nmt("82 00"), ["740: 00"], "{request} after {at_us} us");
@@ -116,13 +115,11 @@ fn a_second_activation_starts_again_when_the_first_has_ended() {
     board.lss("15 0A 00");
     board.pass_ms(100);
     let timeline = [
-        "0 ms stop",
+        "0 ms drop all",
         "100 ms 500 kbit/s",
-        "200 ms resume",
         "200 ms 7E4: 13 00 00 00 00 00 00 00",
-        "200 ms stop",
+        "200 ms drop all",
         "210 ms 250 kbit/s",
-        "220 ms resume",
     ];
     assert_eq!(board.timeline(), timeline);
 }
@@ -154,7 +151,7 @@ fn the_last_nmt_command_of_the_silent_periods_is_carried_out_at_their_end_and_a_
                 assert_eq!(board.node.nmt_state(), State::PreOperational, "not yet");
             }
             board.pass_ms(10_000 - at_ms);
-            let switch = ["0 ms stop", "100 ms 500 kbit/s", "200 ms resume"];
+            let switch = ["0 ms drop all", "100 ms 500 kbit/s"];
             assert_eq!(board.timeline(), [&switch[..], carried_out].concat(), "{commands:?}");
             assert_eq!(board.bit_rate().kbit_per_s(), kbit_per_s, "{commands:?}");
             let is_reset = carried_out.contains(&"200 ms 740: 00");
@@ -196,13 +193,10 @@ fn a_late_call_runs_due_actions_in_order_and_does_not_shift_later_ones() {
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(150), SILENCE);
     board.pass_us(50_000);
-    assert_eq!(
-        board.timeline(),
-        ["0 ms stop", "150 ms 500 kbit/s", "200 ms resume", "200 ms 740: 7F"]
-    );
+    assert_eq!(board.timeline(), ["0 ms drop all", "150 ms 500 kbit/s", "200 ms 740: 7F"]);
     board.lss("15 64 00");
     assert_eq!(board.be_late_ms(300), ["740: 7F"]);
-    assert_eq!(board.timeline(), ["0 ms stop", "300 ms resume", "300 ms 740: 7F"]);
+    assert_eq!(board.timeline(), ["0 ms drop all", "300 ms 740: 7F"]);
 }
 
 #[test]
@@ -210,5 +204,5 @@ fn answers_before_an_activation_are_handed_over_before_the_silence() {
     let mut board = NodeRig::with_node_id(0x40);
     board.timeline();
     assert_eq!(board.configure("5E, 13 00 02, 15 64 00"), ["5E 40", "13 00"]);
-    assert_eq!(board.timeline().last().unwrap(), "0 ms stop");
+    assert_eq!(board.timeline().last().unwrap(), "0 ms drop all");
 }

@@ -48,7 +48,7 @@ fn reserved_bytes_of_a_request_are_ignored_and_not_echoed() {
     board.timeline();
     assert_eq!(board.lss("15 02 00 A5 A5 A5 A5 A5"), SILENCE);
     board.pass_ms(10);
-    assert_eq!(board.timeline(), ["0 ms stop", "2 ms 500 kbit/s", "4 ms resume"]);
+    assert_eq!(board.timeline(), ["0 ms drop all", "2 ms 500 kbit/s"]);
 }
 
 #[test]

@@ -86,7 +86,7 @@ fn effect(board: &mut NodeRig, request: &str) -> String {
     let is_nmt = ["01 00", "02 00", "80 00", "81 00", "82 00"].contains(&request);
     let sent = if is_nmt { board.nmt(request) } else { board.lss(request) };
     let acts = board.timeline().into_iter().filter_map(|line| match line.as_str() {
-        "0 ms stop" => Some("silence, then the new bit rate".to_owned()),
+        "0 ms drop all" => Some("silence, then the new bit rate".to_owned()),
         "0 ms store" => Some("stored".to_owned()),
         _ => None,
     });

@@ -78,10 +78,12 @@ fn the_end_of_operational_drops_what_names_it_or_is_forbidden() {
 #[test]
 fn an_acknowledge_amid_the_calls_of_poll_leaves_no_tpdo_out() {
     let mut board = operational();
+    set(&mut board, 0x1017, 0, 10_000, 2);
     board.configure("13 00 00, 15 0A 00");
     board.pass_ms(19);
     let end = Instant::from_micros(board.now() as u32).plus_micros(1_000);
-    assert_eq!(board.node.poll(end), Some(Action::ResumeTransmitting));
+    let heartbeat = Frame::new(0x740, &[5]).expect("a frame");
+    assert_eq!(board.node.poll(end), Some(Action::Transmit(heartbeat, Service::Heartbeat)));
     board.node.handle_sent(Services::ALL, end);
     let tpdo = Frame::new(0x1C0, &[0; 3]).expect("a frame");
     assert_eq!(board.node.poll(end), Some(Action::Transmit(tpdo, Service::Tpdo)));

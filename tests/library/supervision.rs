@@ -125,8 +125,8 @@ fn for_30_s_after_both_switch_delays_only_the_new_rate_counts() {
 fn a_stay_that_hears_nothing_ends_the_search_after_a_turn_of_home() {
     let mut board = searching();
     board.pass_ms(60_000);
-    let expected = ["1100 ms listen at 125 kbit/s", "1149.44 ms 125 kbit/s", "1149.44 ms resume"];
-    assert_eq!(board.timeline()[..3], expected);
+    let expected = ["1100 ms listen at 125 kbit/s", "1149.44 ms 125 kbit/s"];
+    assert_eq!(board.timeline()[..2], expected);
     board.timeline();
     board.see(Error);
     assert_eq!(board.timeline(), ["0 ms listen at 1000 kbit/s"], "until the next error");
@@ -141,7 +141,7 @@ fn a_heartbeat_follows_each_pause() {
     board.pass_ms(3_000);
     let timeline = board.timeline();
     let count = |end| timeline.iter().filter(|act| act.ends_with(end)).count();
-    assert_eq!((count("stop"), count("740: 7F")), (4, 4), "{timeline:?}");
+    assert_eq!((count("drop all"), count("740: 7F")), (4, 4), "{timeline:?}");
 }
 
 #[test]
@@ -265,7 +265,7 @@ fn a_valid_frame_at_home_ends_the_search_and_proves_home() {
         assert_eq!(board.bit_rate(), BitRate::Kbit125);
         board.timeline();
         board.receive(&boot_up);
-        assert_eq!(board.timeline(), ["0 ms 125 kbit/s", "0 ms resume", "0 ms 740: 00"]);
+        assert_eq!(board.timeline(), ["0 ms 125 kbit/s", "0 ms 740: 00"]);
         for _ in 0..100 {
             board.see(Error);
             board.pass_ms(100);
@@ -303,7 +303,7 @@ fn a_bus_that_is_held_dominant_ends_the_search() {
         board.pass_us(us);
         board.timeline();
         board.see(HeldDominant);
-        assert_eq!(board.timeline()[..2], ["0 ms 125 kbit/s", "0 ms resume"], "after {us} us");
+        assert_eq!(board.timeline()[0], "0 ms 125 kbit/s", "after {us} us");
         board.pass_ms(10_000);
         assert!(!board.timeline().iter().any(|act| act.contains("listen")), "after {us} us");
     }
@@ -336,10 +336,9 @@ fn an_unacknowledged_frame_pauses_after_100_ms_at_an_unproven_rate() {
         board.pass_ms(900);
         let again = 100 + pause.parse::<u32>().expect("a number");
         let expected = [
-            "100 ms stop",
-            "100 ms resume",
+            "100 ms drop all",
             &format!("{again} ms 740: 00"),
-            &format!("{} ms stop", again + 100),
+            &format!("{} ms drop all", again + 100),
         ];
         let timeline = board.timeline();
         assert_eq!(timeline[..expected.len().min(timeline.len())], expected);
@@ -376,7 +375,7 @@ fn bus_off_at_an_unproven_rate_listens_for_a_pause_in_the_same_session() {
     board.see(BusOff);
     assert_eq!(board.timeline(), ["0 ms listen at 50 kbit/s"], "it destroys no frame of others");
     board.pass_ms(700);
-    assert_eq!(board.timeline(), ["639 ms 50 kbit/s", "639 ms resume"]);
+    assert_eq!(board.timeline(), ["639 ms 50 kbit/s"]);
     board.see(BusOff);
     board.is_acknowledged = true;
     assert_eq!(board.lss("5E"), SILENCE, "it is repeated until someone acknowledges it");

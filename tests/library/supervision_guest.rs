@@ -59,7 +59,7 @@ fn the_first_valid_frame_elsewhere_decides_and_is_not_obeyed() {
     board.is_acknowledged = true;
     board.timeline();
     board.receive(&frames::command("01 00"));
-    assert_eq!(board.timeline(), ["0 ms 1000 kbit/s", "0 ms resume"]);
+    assert_eq!(board.timeline(), ["0 ms 1000 kbit/s"]);
     assert_eq!(board.node.nmt_state(), nmt::State::PreOperational);
     board.lss("04 01");
     assert_eq!(board.lss("5E").0.first().map(frames::text).as_deref(), Some(ANSWER), "the second");
@@ -126,7 +126,7 @@ fn activation_without_configuration_makes_the_rate_found_a_proven_home() {
     board.lss("15 0A 00");
     board.pass_ms(20);
     let end = format!("20 ms {HOME_AGAIN}");
-    assert_eq!(board.timeline(), ["0 ms stop", "20 ms resume", "20 ms receives", &end]);
+    assert_eq!(board.timeline(), ["0 ms drop all", "20 ms receives", &end]);
     assert_eq!((lss_rates(&board), objects(&mut board)), ([1000, 1000], [1000, 1000, 1]));
     board.timeline();
     for _ in 0..100 {
@@ -192,7 +192,6 @@ fn a_guest_that_leaves_listens_at_home_and_then_where_it_was() {
         "49.44 ms listen at 1000 kbit/s",
         "1149.44 ms listen at 125 kbit/s",
         "1198.88 ms 125 kbit/s",
-        "1198.88 ms resume",
         &format!("1198.88 ms {HOME_AGAIN}"),
         "1198.88 ms receives",
     ];
@@ -270,8 +269,8 @@ fn a_guest_leaves_after_2_s_without_a_valid_frame() {
         assert_eq!(silence_ms(&mut board), 2_000, "{proof:?}");
         board.timeline();
         board.pass_us(TURN_US);
-        let expected = ["49.44 ms 125 kbit/s", "49.44 ms resume", "49.44 ms 740: 00"];
-        assert_eq!(board.timeline()[..3], expected, "nobody is there: it takes part at home");
+        let expected = ["49.44 ms 125 kbit/s", "49.44 ms 740: 00"];
+        assert_eq!(board.timeline()[..2], expected, "nobody is there: it takes part at home");
     }
 }
 

@@ -3,6 +3,7 @@
 use canopen_node::{
     Action, BitRate, BitRates,
     BusEvent::{self, Acknowledged, BusOff, Error, FormError, HeldDominant, Received},
+    Services,
 };
 use testkit::{
     flash::BoardFlash,
@@ -155,7 +156,7 @@ impl Run {
         let in_use = self.board.bit_rate();
         let [low, high] = delay_ms.to_le_bytes();
         self.board.lss(&format!("15 {low:02X} {high:02X}"));
-        let is_accepted = self.board.actions().any(|action| action == Action::StopTransmitting);
+        let is_accepted = self.board.actions().any(|action| action == Action::Drop(Services::ALL));
         if !is_accepted {
             return;
         }

@@ -46,7 +46,8 @@ pub struct NodeRig<A: Application = NoApplication> {
     clock_at_start: u32,
     /// The controller's state.
     bit_rate: BitRate,
-    pub may_transmit: bool,
+    /// Nothing was sent since all pending frames were dropped.
+    pub is_quiet: bool,
     receives: Receives<A::Numbers>,
     /// The store in progress, if stores take time.
     running_store: Option<Settings>,
@@ -141,7 +142,7 @@ impl<A: Application + Clone> NodeRig<A> {
         let mut board = Self {
             new_application: application,
             bit_rate: node.bit_rate(),
-            may_transmit: !node.is_listening(),
+            is_quiet: node.is_listening(),
             receives: node.receives(),
             node,
             flash,
@@ -332,10 +333,9 @@ impl<A: Application + Clone> NodeRig<A> {
                 Action::Transmit(frame, _) => frames::text(&frame),
                 Action::SetNodeId(id) => format!("node-ID {:02X}", NodeId::to_lss(id)),
                 Action::SetReceives => "receives".into(),
+                Action::Drop(Services::ALL) => "drop all".into(),
                 Action::Drop(_) => "drop".into(),
-                Action::StopTransmitting => "stop".into(),
                 Action::SetBitRate(rate) => format!("{} kbit/s", rate.kbit_per_s()),
-                Action::ResumeTransmitting => "resume".into(),
                 Action::Store(_) => "store".into(),
                 Action::ResetDevice => "reset".into(),
                 Action::Listen(rate) => format!("listen at {} kbit/s", rate.kbit_per_s()),
@@ -379,7 +379,8 @@ impl<A: Application + Clone> NodeRig<A> {
         self.actions.push((self.now, action));
         match action {
             Action::Transmit(_, service) => {
-                assert!(self.may_transmit, "nothing is sent in a silent period");
+                assert!(!self.node.is_listening(), "a listener sends nothing");
+                self.is_quiet = false;
                 if self.is_acknowledged {
                     self.node.handle_sent(Services::of(service), self.instant());
                 }
@@ -389,15 +390,13 @@ impl<A: Application + Clone> NodeRig<A> {
                 self.receives = self.node.receives();
             }
             Action::SetReceives => self.receives = self.node.receives(),
-            Action::Drop(_) => {}
-            Action::StopTransmitting => self.may_transmit = false,
+            Action::Drop(services) => self.is_quiet |= services == Services::ALL,
             Action::SetBitRate(rate) => {
-                let is_silent = !self.may_transmit;
-                assert!(is_silent || rate == self.bit_rate, "it changes in a silent period");
+                let is_change = rate != self.bit_rate;
+                assert!(self.is_quiet || !is_change, "it changes in a silent period");
                 self.bit_rate = rate;
                 self.receives = self.node.receives();
             }
-            Action::ResumeTransmitting => self.may_transmit = true,
             Action::Store(settings) if self.stores_take_time => {
                 assert!(self.running_store.is_none(), "one store at a time");
                 self.running_store = Some(settings);
@@ -408,7 +407,7 @@ impl<A: Application + Clone> NodeRig<A> {
             }
             Action::ResetDevice => self.restart(),
             Action::Listen(rate) => {
-                self.may_transmit = false;
+                self.is_quiet = true;
                 self.bit_rate = rate;
                 self.receives = self.node.receives();
             }
@@ -427,7 +426,7 @@ impl<A: Application + Clone> NodeRig<A> {
         (self.log, self.node, self.found) = start(self.device, &self.flash, application);
         self.bit_rate = self.node.bit_rate();
         self.receives = self.node.receives();
-        self.may_transmit = !self.node.is_listening();
+        self.is_quiet = self.node.is_listening();
         self.running_store = None;
     }
 }

@@ -290,7 +290,7 @@ impl<A: Application + Clone> SlaveBus<A> {
             Source::Tool | Source::OtherMaster => self.rate,
             Source::Slave(number) => {
                 let slave = &self.slaves[number];
-                if !slave.is_powered || !slave.is_connected || !slave.rig.may_transmit {
+                if !slave.is_powered || !slave.is_connected || slave.rig.is_quiet {
                     return;
                 }
                 slave.rig.bit_rate()
@@ -320,7 +320,7 @@ impl<A: Application + Clone> SlaveBus<A> {
                 }
                 continue;
             }
-            is_acknowledged |= slave.rig.may_transmit;
+            is_acknowledged |= !slave.rig.node.is_listening();
             if !receives.contains(frame.cob_id()) || self.happens(self.faults.lost) {
                 continue;
             }

@@ -81,7 +81,6 @@ pub struct Runner<C: Controller, S: System, A: Application = NoApplication> {
     bus: Bus<C>,
     system: S,
     queue: TransmitQueue,
-    may_transmit: bool,
     /// The fault confinement state last seen.
     bus_state: BusState,
     indicators: Indicators,
@@ -108,7 +107,6 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
             bus,
             system,
             queue: TransmitQueue::new(),
-            may_transmit: true,
             bus_state: BusState::Good,
             indicators: Indicators::default(),
             step_at,
@@ -421,18 +419,12 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
             }
             Action::SetReceives => self.set_receives(),
             Action::Drop(services) => self.drop_frames(services),
-            Action::StopTransmitting => {
-                self.may_transmit = false;
-                self.drop_frames(Services::ALL);
-            }
             Action::SetBitRate(rate) => {
                 log!(info, "CAN: at {=u16} kbit/s", rate.kbit_per_s());
                 self.start(Mode::TakePart, rate);
             }
-            Action::ResumeTransmitting => self.may_transmit = true,
             Action::Listen(rate) => {
                 log!(debug, "CAN: listening at {=u16} kbit/s", rate.kbit_per_s());
-                self.may_transmit = false;
                 self.start(Mode::Listen, rate);
             }
             Action::Store(settings) => {
@@ -446,12 +438,9 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         }
     }
 
-    /// Sends `frame` as soon as the bus allows it, unless transmitting is stopped.
+    /// Sends `frame` as soon as the bus allows it.
     #[inline(always)] // The way of an answer.
     fn transmit(&mut self, frame: Frame, service: Service) {
-        if !self.may_transmit {
-            return;
-        }
         if !(self.queue.is_empty() && self.bus.can.send(&frame, service)) {
             self.transmit_beside_others(frame, service);
         }

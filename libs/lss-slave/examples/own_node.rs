@@ -71,8 +71,7 @@ impl Node {
             Action::ResetCommunication => self.reset_communication(),
             Action::SetBitRate(rate) => println!("  takes part at {rate}"),
             Action::Listen(rate) => println!("  listens at {rate}"),
-            Action::StopTransmitting => println!("  drops its frames"),
-            Action::ResumeTransmitting => println!("  sends again"),
+            Action::DropFrames => println!("  drops its frames"),
             Action::FilterFrames => println!("  the bit rate is proven"),
         }
     }

@@ -44,11 +44,11 @@
 //!                 }
 //!                 Action::SetBitRate(rate) => board.run_at(rate, false),
 //!                 Action::Listen(rate) => board.run_at(rate, true),
-//!                 Action::StopTransmitting => {
+//!                 Action::DropFrames => {
 //!                     board.drop_frames();
 //!                     outbox.clear();
 //!                 }
-//!                 Action::ResumeTransmitting | Action::FilterFrames => {}
+//!                 Action::FilterFrames => {}
 //!             }
 //!         }
 //!         if let Some(frame) = boot_up.take_if(|_| slave.may_send()) {

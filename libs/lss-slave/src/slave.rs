@@ -42,15 +42,14 @@ pub enum Action {
     Store,
     /// Perform NMT reset communication, with [`Slave::reset_communication`]: the slave had no node-ID until now.
     ResetCommunication,
-    /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
-    StopTransmitting,
+    /// Drop the pending frames: a switch of the bit rate begins, or nobody acknowledges them. Keep receiving and
+    /// acknowledging.
+    DropFrames,
     /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary.
     SetBitRate(BitRate),
     /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
     /// acknowledge.
     Listen(BitRate),
-    /// Allow frames to be sent again.
-    ResumeTransmitting,
     /// Until the next [`SetBitRate`](Self::SetBitRate) or [`Listen`](Self::Listen) the slave needs only the requests of
     /// LSS: the bit rate is proven. Who passes all frames may ignore it.
     FilterFrames,
@@ -180,7 +179,7 @@ impl Slave {
                 return self.answer_store(now);
             };
             return Some(match next {
-                Next::StopTransmitting | Next::Step(Step::DropFrames) => Action::StopTransmitting,
+                Next::Step(Step::DropFrames) => Action::DropFrames,
                 Next::Activate { silent_until } => {
                     let setting = self.lss.activate_bit_rate(self.bit_rate.active());
                     self.bit_rate.activate(setting, silent_until);
@@ -195,7 +194,6 @@ impl Slave {
                     }
                     Action::Listen(rate)
                 }
-                Next::ResumeTransmitting => Action::ResumeTransmitting,
                 Next::Settled => Action::FilterFrames,
             });
         }

@@ -4,7 +4,7 @@ use std::hash::{Hash, Hasher};
 
 use canopen_node::{
     Action, BitRate, BitRateSetting, BitRates, BusEvent, Device, Frame, Instant, Node, NodeId,
-    Settings,
+    Services, Settings,
     lss::{self, Address, State, StoreError},
     nmt,
 };
@@ -64,9 +64,10 @@ pub struct Running {
     pub bit_rate: BitRate,
     /// The controller sends no dominant bit.
     pub is_silent: bool,
-    pub may_transmit: bool,
-    /// The node is in the silence of a switch.
-    pub is_switching: bool,
+    /// See [`Mutation::StaysSilent`].
+    pub is_mute: bool,
+    /// The end of the silence of a switch, which the node is in.
+    silent_until: Option<Instant>,
     /// Errors since the last valid frame or the start of the controller, up to error passive.
     pub errors: u8,
     /// The LSS answers that have not left.
@@ -83,13 +84,18 @@ impl Running {
     /// What distinguishes two boards.
     fn key(&self) -> impl PartialEq + Hash {
         let answers: Vec<_> = self.answers.iter().map(Frame::padded_data).collect();
-        let flags = (self.is_silent, self.may_transmit, self.is_switching, self.errors);
+        let flags = (self.is_silent, self.is_mute, self.is_switching(), self.errors);
         (self.digest, self.bit_rate.index(), flags, answers, self.store)
     }
 
     /// Whether its error flags destroy frames at other bit rates.
     pub const fn is_active(&self) -> bool {
         !self.is_silent && self.errors < PASSIVE
+    }
+
+    /// Whether the node is in the silence of a switch.
+    pub const fn is_switching(&self) -> bool {
+        self.silent_until.is_some()
     }
 
     /// Whether the node is in LSS configuration state.
@@ -164,8 +170,8 @@ impl Board {
             now: Instant::from_micros(0),
             digest: None,
             is_silent: false,
-            may_transmit: true,
-            is_switching: false,
+            is_mute: false,
+            silent_until: None,
             errors: 0,
             answers: Vec::new(),
             messages: Vec::new(),
@@ -215,8 +221,11 @@ impl Board {
             let Some(running) = &mut self.running else { return };
             let was_selected = running.is_selected();
             let action = running.node.handle_frame(&frame, running.now);
-            if frame.cob_id() == lss::REQUEST_COB_ID && was_selected && !running.is_switching {
-                running.is_switching = frame.data()[0] == 0x15;
+            if frame.cob_id() == lss::REQUEST_COB_ID && was_selected && !running.is_switching() {
+                if let [0x15, low, high, ..] = *frame.data() {
+                    let delay = 1_000 * u32::from(u16::from_le_bytes([low, high]));
+                    running.silent_until = Some(running.now.plus_micros(2 * delay));
+                }
                 if frame.data()[0] == 0x17 {
                     let pending = self.pending();
                     self.requests.push(pending);
@@ -262,6 +271,8 @@ impl Board {
     fn settle(&mut self) {
         if let Some(running) = &mut self.running {
             running.digest = None;
+            let is_over = running.silent_until.take_if(|end| end.has_come(running.now)).is_some();
+            running.is_mute |= is_over && self.mutation == Some(Mutation::StaysSilent);
         }
         while let Some(running) = &mut self.running
             && let Some(action) = running.node.poll(running.now)
@@ -316,10 +327,9 @@ impl Board {
         let (Some(action), Some(running)) = (action, &mut self.running) else { return };
         match action {
             Action::Transmit(frame, _) => {
-                let is_allowed = running.may_transmit && !running.is_silent;
-                if !is_allowed {
-                    let is_mutated = self.mutation == Some(Mutation::StaysSilent);
-                    assert!(is_mutated, "nothing is sent in a silent period");
+                let is_allowed = !running.is_switching() && !running.is_silent;
+                assert!(is_allowed, "nothing is sent in a silent period");
+                if running.is_mute {
                     return;
                 }
                 if frame.cob_id() != lss::RESPONSE_COB_ID {
@@ -331,22 +341,16 @@ impl Board {
                     self.note_answer(error == 0);
                 }
             }
-            Action::StopTransmitting => {
-                running.may_transmit = false;
+            Action::Drop(Services::ALL) => {
                 running.answers.clear();
                 running.messages.clear();
             }
             Action::SetBitRate(rate) | Action::Listen(rate) => {
                 running.is_silent = matches!(action, Action::Listen(_));
-                running.may_transmit &= !running.is_silent;
                 running.bit_rate = rate;
                 running.errors = 0;
                 running.answers.clear();
                 running.messages.clear();
-            }
-            Action::ResumeTransmitting => {
-                running.is_switching = false;
-                running.may_transmit = self.mutation != Some(Mutation::StaysSilent);
             }
             Action::Store(settings) => running.store = Some(Kept::of(settings)),
             Action::ResetDevice => {

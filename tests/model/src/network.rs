@@ -89,7 +89,7 @@ impl Network {
     /// Whether a board is in the silence of a switch.
     pub fn is_switching(&self) -> bool {
         let mut running = self.boards.iter().filter_map(|board| board.running.as_ref());
-        running.any(|running| running.is_switching)
+        running.any(|running| running.is_switching())
     }
 
     /// Ends a step of the model.

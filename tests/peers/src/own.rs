@@ -73,7 +73,7 @@ impl<A: Application> Own<A> {
             }
             Action::SetNodeId(_) | Action::SetReceives => self.receives = self.node.receives(),
             Action::Store(_) => self.node.handle_stored(Ok(())),
-            Action::SetBitRate(_) | Action::ResumeTransmitting => {
+            Action::SetBitRate(_) => {
                 self.node.handle_bus_event(BusEvent::Acknowledged, Instant::from_micros(0));
             }
             _ => {}

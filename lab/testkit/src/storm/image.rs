@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use canopen_node::{
-    Action, BitRate, Device,
+    Action, BitRate, Device, Services,
     application::NoApplication,
     lss::{self, Address},
     nmt,
@@ -210,7 +210,7 @@ impl<A: Stormed> ImageStorm<A> {
         if actions.contains(&Action::ResetDevice) {
             self.settle_before(&actions);
             self.follow_reset(frame);
-        } else if actions.contains(&Action::StopTransmitting) {
+        } else if actions.contains(&Action::Drop(Services::ALL)) {
             self.settle_before(&actions);
             self.follow_switch(frame);
         } else {

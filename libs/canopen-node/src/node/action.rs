@@ -19,17 +19,12 @@ pub enum Action {
     /// Receive the frames that the node [`receives`](crate::Node::receives): a master has changed a COB-ID of process
     /// data, or the bit rate is proven.
     SetReceives,
-    /// Drop the pending frames of these services: they name another NMT state, or the new one forbids them. A frame that is
-    /// on the bus now may finish.
+    /// Drop the pending frames of these services: they name another NMT state, or the new one forbids them. All of them
+    /// when a switch of the bit rate begins, or when nobody acknowledges. A frame that is on the bus now may finish.
     Drop(Services),
-    /// Start no frame from now on and drop the pending ones; keep receiving and acknowledging.
-    StopTransmitting,
     /// Drop the pending frames and run the controller at this bit rate, leaving bus-off if necessary, with the frames
-    /// that the node [`receives`](crate::Node::receives). After [`StopTransmitting`](Self::StopTransmitting) or
-    /// [`Listen`](Self::Listen) it only receives and acknowledges.
+    /// that the node [`receives`](crate::Node::receives).
     SetBitRate(BitRate),
-    /// Allow frames to be sent again.
-    ResumeTransmitting,
     /// Run the controller silently at this bit rate: drop the pending frames and send no dominant bit, not even an
     /// acknowledge. Receive all frames, and report the first frame and the first error to
     /// [`handle_bus_event`](crate::Node::handle_bus_event).

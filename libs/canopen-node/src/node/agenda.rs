@@ -130,11 +130,13 @@ impl Agenda {
         }
     }
 
-    /// Holds these tasks until the next call, and makes all others due.
-    pub const fn hold(&mut self, tasks: Tasks) {
+    /// Holds these tasks until the next call, and makes all others due. Returns those that were held so far.
+    pub const fn hold(&mut self, tasks: Tasks) -> Tasks {
+        let released = Tasks(self.held.0 & !tasks.0);
         self.held = tasks;
         self.due = Tasks(!tasks.0);
         self.timed.remove(tasks);
+        released
     }
 
     /// Whether any task must not be done now.

@@ -1,6 +1,6 @@
 //! Switch and supervision of the bit rate, as parts of the node.
 
-use super::{Action, Node, Task, Tasks};
+use super::{Action, Node, Services, Task, Tasks};
 use crate::{Application, Instant, emergency::Fault};
 
 impl<A: Application> Node<A> {
@@ -18,39 +18,32 @@ impl<A: Application> Node<A> {
             self.product.communication.restart(now);
         }
         let Some(action) = action else {
-            self.agenda.hold(match self.slave.may_send() {
+            let released = self.agenda.hold(match self.slave.may_send() {
                 _ if is_switching => Tasks::AFTER_SWITCH,
                 true if self.slave.bit_rate().is_guest() => Tasks::of(&[Task::Pdos]),
                 true => Tasks::NONE,
                 false => Tasks::SENDING,
             });
+            if released.has(Task::Messages) {
+                self.nmt.request_heartbeat();
+            }
             return None;
         };
-        Some(match action {
-            lss_slave::Action::StopTransmitting => {
-                // A frame that is on the bus when a switch begins may finish.
-                if is_switching {
-                    self.end_sdo();
-                } else {
-                    self.drop_frames();
-                }
-                Action::StopTransmitting
-            }
-            lss_slave::Action::SetBitRate(rate) => {
-                self.drop_frames();
-                Action::SetBitRate(rate)
-            }
-            lss_slave::Action::Listen(rate) => {
-                self.drop_frames();
-                Action::Listen(rate)
-            }
-            lss_slave::Action::ResumeTransmitting => {
-                self.nmt.request_heartbeat();
-                Action::ResumeTransmitting
-            }
-            lss_slave::Action::FilterFrames => Action::SetReceives,
+        let action = match action {
+            lss_slave::Action::DropFrames => Action::Drop(Services::ALL),
+            lss_slave::Action::SetBitRate(rate) => Action::SetBitRate(rate),
+            lss_slave::Action::Listen(rate) => Action::Listen(rate),
+            lss_slave::Action::FilterFrames => return Some(Action::SetReceives),
             _ => return None,
-        })
+        };
+        if is_switching && matches!(action, Action::Drop(_)) {
+            // A frame that is on the bus now may finish.
+            self.end_sdo();
+        } else {
+            self.end_sdo_transfer();
+            self.frames_dropped();
+        }
+        Some(action)
     }
 
     /// Reports a bit rate that the supervision has found, or a return home.
@@ -67,11 +60,5 @@ impl<A: Application> Node<A> {
             }
             _ => {}
         }
-    }
-
-    /// Ends what the dropped frames belong to.
-    fn drop_frames(&mut self) {
-        self.end_sdo_transfer();
-        self.frames_dropped();
     }
 }

@@ -19,8 +19,6 @@ pub struct Control {
     is_settled: bool,
     /// See [`needs_all_frames`](Self::needs_all_frames).
     needs_all_frames: bool,
-    /// Frames may be sent again, but the board has not been informed.
-    is_resume_due: bool,
 }
 
 /// An activation of bit timing in progress (CiA 305, activate bit timing parameters).
@@ -44,17 +42,13 @@ enum Phase {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub(crate) enum Next {
-    /// A switch begins: no more frames are sent.
-    StopTransmitting,
     /// The pending bit rate must be activated, see [`Control::activate`].
     Activate {
         /// The end of the switch.
         silent_until: Instant,
     },
-    /// A step of the supervision, which drops the pending frames.
+    /// A step, which drops the pending frames.
     Step(Step),
-    /// Frames may be sent again.
-    ResumeTransmitting,
     /// The home rate is proven: only the frames for the node matter from now on.
     Settled,
 }
@@ -68,7 +62,6 @@ impl Control {
             switch: None,
             is_settled: false,
             needs_all_frames: matches!(setting, BitRateSetting::Automatic),
-            is_resume_due: false,
         }
     }
 
@@ -208,21 +201,16 @@ impl Control {
         let expired = self.switch.filter(|switch| switch.until.has_come(now));
         if expired.is_some_and(|switch| matches!(switch.phase, Phase::NewRate)) {
             self.switch = None;
-            self.is_resume_due = true;
         }
         // A detection that the switch has begun may complete within it.
         if (self.is_supervised() || self.supervision.has_step())
             && let Some(step) = self.supervision.poll(now)
         {
-            self.is_resume_due = self.switch.is_none();
             self.needs_all_frames = !self.supervision.is_settled();
             return Some(Next::Step(step));
         }
         if self.switch.is_some() {
             return self.advance(expired?);
-        }
-        if !self.is_listening() && mem::take(&mut self.is_resume_due) {
-            return Some(Next::ResumeTransmitting);
         }
         self.is_settled = self.supervision.is_settled();
         let has_settled = self.is_settled && mem::take(&mut self.needs_all_frames);
@@ -239,7 +227,7 @@ impl Control {
     fn advance(&mut self, switch: Switch) -> Option<Next> {
         let until = switch.until.plus_micros(switch.delay_micros);
         let (phase, next) = match switch.phase {
-            Phase::Requested => (Phase::OldRate, Next::StopTransmitting),
+            Phase::Requested => (Phase::OldRate, Next::Step(Step::DropFrames)),
             Phase::OldRate => (Phase::NewRate, Next::Activate { silent_until: until }),
             Phase::NewRate => return None,
         };
