@@ -236,7 +236,7 @@ fn unchanged_parameters_are_not_written() {
     assert_eq!(board.flash.writes(), writes, "after a power cycle");
     board.download(0x1017, 0, &[1, 0]).unwrap();
     assert_eq!(board.save(1), Ok(()));
-    assert_eq!(board.flash.writes(), writes + 19, "a part of the parameters, and the record");
+    assert_eq!(board.flash.writes(), writes + 37, "three parts, and the record");
 }
 
 #[test]
@@ -306,9 +306,9 @@ fn a_save_into_a_full_flash_is_0800_0022_and_the_next_start_makes_room() {
         speed += 1;
     };
     assert_eq!(full, Err(0x0800_0022));
-    // All parameters take three places, a changed one takes one, and a record follows. Each of two banks has 401 places
-    // for stores, and one has three records of the defaults.
-    assert_eq!(speed - 10, 1 + (398 - 4) / 2 + 1 + (401 - 4) / 2);
+    // The parameters take three places, and a record follows. Each of two banks has 401 places for stores, and one has
+    // three records of the defaults.
+    assert_eq!(speed - 10, 398 / 4 + 401 / 4);
     let erases = board.flash.erases();
     board.power_cycle();
     assert_eq!(
@@ -439,11 +439,6 @@ fn the_parameters_are_packed_as_documented() {
     assert_eq!(content[134..138], [2, 0, 7, 0], "the first place and the length");
     assert_eq!(content[138..142], crc.to_le_bytes());
     assert_eq!(content[142..148], [0xFF, 0xFF, 0xFF, 0xFF, 2, 0xFF]);
-    board.node.application_mut().enabled = false;
-    board.save(3).unwrap();
-    let content = board.flash.content();
-    assert_eq!(content[214..218], [4, 0, 7, 0]);
-    assert_eq!(content[222..226], [1, 0, 3, 0], "one part, the others with the record in place 3");
 }
 
 objects! {

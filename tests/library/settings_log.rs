@@ -372,6 +372,13 @@ fn of_other_layout(sequence: u32) -> [u8; 32] {
     sealed(record)
 }
 
+/// A record of an earlier version, which refers to parts of the parameters of another record.
+fn with_parts_elsewhere(sequence: u32) -> [u8; 32] {
+    let mut record = record(sequence, 1, 5, 2);
+    record[18..22].copy_from_slice(&[1, 0, 3, 0]);
+    sealed(record)
+}
+
 #[test]
 fn records_of_another_layout_stay_and_nothing_is_stored_beside_them() {
     const E: usize = 1024;
@@ -394,6 +401,7 @@ fn records_of_another_layout_stay_and_nothing_is_stored_beside_them() {
         (flash_with(&[(1, 3, other(9))]), None),
         // Behind the record that counts, and in the bank that would be erased, also before records of this layout.
         (flash_with(&[(0, 0, erased), (0, 1, other(9))]), Some(4)),
+        (flash_with(&[(0, 0, erased), (0, 1, with_parts_elsewhere(9))]), Some(4)),
         (flash_with(&[(0, 0, ours(8)), (1, 0, other(9))]), Some(4)),
         (flash_with(&[(0, 0, ours(8)), (1, 0, other(5)), (1, 1, ours(6))]), Some(4)),
     ] {

@@ -1,15 +1,11 @@
 //! The room in the settings log: how many stores each start leaves at least, however full the log was before.
 
-use canopen_node::{
-    Application,
-    settings::{Error, Log},
-};
+use canopen_node::Application;
 use example_io::application as io;
 use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
-    settings::{open_with_parameters, parameters, settings},
 };
 
 type Example = NodeRig<io::Application>;
@@ -84,31 +80,6 @@ fn every_start_leaves_room_for_390_stores_by_lss_of_the_example() {
 }
 
 #[test]
-fn every_start_leaves_room_for_195_saves_of_a_value_of_the_example() {
-    assert_eq!(least_room(example_in_use, store_by_lss, save), 195);
-}
-
-#[test]
-fn every_start_leaves_room_for_33_saves_of_all_values_of_the_example() {
-    let len = example_in_use(&BoardFlash::blank(0)).stored_parameters().len();
-    let mut n = 0;
-    let mut store = |log: &mut Log<_, 1024>, len| {
-        n += 1;
-        let outcome = log.store_with_parameters(settings(n), &parameters(n, len));
-        assert!(matches!(outcome, Ok(()) | Err(Error::Full)));
-        outcome.is_ok()
-    };
-    let start = |flash: &BoardFlash| {
-        let mut log = open_with_parameters::<1024, 4, 0x4000>(flash).0;
-        if log.parameters().is_empty() {
-            log.store_with_parameters(settings(1), &parameters(1, len - 6)).expect("there is room");
-        }
-        log
-    };
-    let mut next = 0;
-    let fill = |log: &mut Log<_, 1024>| {
-        next += 1;
-        log.store(settings(next)).is_ok()
-    };
-    assert_eq!(least_room(start, fill, |log| store(log, len - 6)), 33);
+fn every_start_leaves_room_for_33_saves_of_the_example() {
+    assert_eq!(least_room(example_in_use, store_by_lss, save), 33);
 }

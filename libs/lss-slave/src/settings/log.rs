@@ -12,6 +12,22 @@
 //! time. So may each unit of a bank whose erase was interrupted, and whatever such a bank reads must not count: what
 //! makes it count lies in the other bank, written before the erase.
 //!
+//! # A bank
+//! It fills from its first place on: here by the first start of a device, a store with parameters of two parts, and a
+//! store by LSS.
+//!
+//! ```text
+//! place
+//! 0         a record without settings: the other bank is used
+//! 1         the same: the other bank is erased
+//! 2         part 0 of the parameters
+//! 3         part 1 of the parameters
+//! 4         a record with settings, and a reference to places 2 and 3
+//! 5         the newest record, which counts, with the same reference
+//! 6..400    blank
+//! 401..408  blank: only starts use them
+//! ```
+//!
 //! # A place
 //! - A program unit of zeros begins it, or a word where units are smaller. It is the only part that may have been torn
 //!   although it reads blank. If it is written once more, then with the same value; if the flash refuses that, or the
@@ -47,7 +63,7 @@ use embedded_storage::nor_flash::NorFlash;
 use super::{
     Settings,
     parameters::{self, HEADER, Parameter},
-    record::{self, Changes, OtherBank, Record, Reference},
+    record::{self, OtherBank, PART_LEN, Record, Reference},
 };
 use crate::bytes::copy;
 use newest::{Blob, Newest, part_of, parts};
@@ -140,8 +156,6 @@ pub struct Log<F, const STORED_LEN: usize = 0> {
     /// The parameters of the newest record that the node has taken, or those of the last store.
     taken: [u8; STORED_LEN],
     taken_len: usize,
-    /// The newest record has no other parameters.
-    has_taken_all: bool,
     /// The sequence number of the last record, if the next open may find it in another state than the last look did.
     uncertain: Option<u32>,
     /// The bank with the newest record counts at every open: one in it is certain, and later than all in the other.
@@ -240,7 +254,6 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             newest: Newest { record, at: 0, bank: 0 },
             taken: [0; STORED_LEN],
             taken_len: 0,
-            has_taken_all: false,
             uncertain: None,
             counts: false,
             is_foreign: false,
@@ -267,7 +280,6 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     /// The flash cannot be read.
     pub fn restore(&mut self, mut take: impl FnMut(&Parameter<'_>) -> bool) -> Result<(), Error> {
         let mut blob = Blob::new(&mut self.flash, self.newest);
-        let mut has_taken_all = true;
         self.taken_len = 0;
         while blob.rest() >= HEADER {
             let mut header = [0; HEADER];
@@ -277,7 +289,6 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             // A longer one is none of this node's, whose parameters all fit.
             let Some(to) = to.get_mut(..HEADER.saturating_add(value_len)) else {
                 blob.skip(value_len);
-                has_taken_all = false;
                 continue;
             };
             let (to_header, value) = to.split_at_mut(HEADER.min(to.len()));
@@ -285,11 +296,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             blob.read(value)?;
             if Parameter::first_of(to).is_some_and(|parameter| take(&parameter)) {
                 self.taken_len = self.taken_len.saturating_add(to.len());
-            } else {
-                has_taken_all = false;
             }
         }
-        self.has_taken_all = has_taken_all && blob.rest() == 0;
         Ok(())
     }
 
@@ -309,11 +317,11 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if self.settings() == Some(settings) && self.uncertain.is_none() {
             return Ok(());
         }
-        self.put_or_restore(settings, None)
+        self.replace(settings, None)
     }
 
-    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; each run of
-    /// 24 bytes that differs takes as long as a record, before the record itself.
+    /// Makes `settings` and these packed parameters persistent. Parameters that already are cost nothing; of others
+    /// each 24 bytes take as long as a record, before the record itself.
     ///
     /// # Errors
     /// As for [`store`](Self::store): the previous settings and parameters are still persistent. [`Error::Full`] also
@@ -329,9 +337,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         if parameters.len() > STORED_LEN {
             return Err(Error::Full);
         }
-        self.put_or_restore(settings, Some(parameters))?;
+        self.replace(settings, Some(parameters))?;
         self.taken_len = copy(parameters, 0, &mut self.taken);
-        self.has_taken_all = true;
         Ok(())
     }
 
@@ -341,12 +348,12 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
     }
 
     /// Makes `settings` persistent, or else leaves the old ones so.
-    fn put_or_restore(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
+    fn replace(&mut self, settings: Settings, new: Option<&[u8]>) -> Result<(), Error> {
         if self.is_foreign {
             return Err(Error::OtherLayout);
         }
-        let before = self.uncertain;
-        let outcome = self.put(Some(settings), new);
+        let (before, other_is) = (self.uncertain, self.newest.record.other_is);
+        let outcome = self.append(Some(settings), new, other_is).map(|_| ());
         let Some(uncertain) = self.uncertain.filter(|it| before != Some(*it)) else {
             return outcome;
         };
@@ -355,7 +362,8 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
             // The first of the places that are left to starts.
             self.space.range.end = self.space.range.end.saturating_add(F::PLACE);
         }
-        if self.put(self.settings(), None).is_err()
+        let other_is = self.newest.record.other_is;
+        if self.append(self.settings(), None, other_is).is_err()
             // The flash has failed. What the next open will find is found now.
             && let Some(found) = self.search().0.counts()
             && found.record.sequence == uncertain
@@ -367,45 +375,39 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         outcome
     }
 
-    /// Appends a record with `new` parameters, or with those of the newest one, where there is room.
-    fn put(&mut self, settings: Option<Settings>, new: Option<&[u8]>) -> Result<(), Error> {
-        let other_is = self.newest.record.other_is;
-        match self.append(settings, new, other_is) {
-            Err(Error::Full) => {}
-            outcome => return outcome.map(|_| ()),
-        }
-        mem::swap(&mut self.space, &mut self.other);
-        let outcome = self.append(settings, new, other_is);
-        if outcome.is_ok() || self.uncertain.is_some() {
-            // Where a record is uncertain, those that are later must follow.
-            self.other = Space::NONE;
-        } else {
-            mem::swap(&mut self.space, &mut self.other);
-        }
-        outcome.map(|_| ())
-    }
-
-    /// Appends a record, behind places that turn out to be torn. Returns whether it is certain.
+    /// Appends a record with `new` parameters, or with those of the newest one, behind places that turn out to be torn
+    /// and in the bank where there is room. Returns whether it is certain.
     fn append(
         &mut self,
         settings: Option<Settings>,
         new: Option<&[u8]>,
         other_is: OtherBank,
     ) -> Result<bool, Error> {
-        let mut failure = Error::NotBlank;
-        for _ in 0..=MOST_TORN {
-            match self.append_once(settings, new, other_is) {
-                Ok(is_certain) => return Ok(is_certain),
-                Err(Stop::Torn(error)) => failure = error,
-                Err(Stop::Failed(error)) => return Err(error),
+        let before = self.uncertain;
+        let (mut torn, mut has_moved) = (0, false);
+        let outcome = loop {
+            match self.write(settings, new, other_is) {
+                Err(Stop::Torn(_)) if torn < MOST_TORN => torn += 1,
+                Err(Stop::Failed(Error::Full)) if !has_moved => {
+                    mem::swap(&mut self.space, &mut self.other);
+                    (torn, has_moved) = (0, true);
+                }
+                Err(Stop::Torn(error) | Stop::Failed(error)) => break Err(error),
+                Ok(is_certain) => break Ok(is_certain),
             }
+        };
+        if has_moved && (outcome.is_ok() || self.uncertain != before) {
+            // Where a record is uncertain, those that are later must follow.
+            self.other = Space::NONE;
+        } else if has_moved {
+            mem::swap(&mut self.space, &mut self.other);
         }
-        Err(failure)
+        outcome
     }
 
-    /// Appends a record after the parameters that differ, or in another bank than that of the newest one, after all
-    /// parameters. Writes nothing if they do not fit.
-    fn append_once(
+    /// Writes a record, after its parameters if they are new, or if the newest record is in the other bank. Writes
+    /// nothing if they do not fit.
+    fn write(
         &mut self,
         settings: Option<Settings>,
         new: Option<&[u8]>,
@@ -414,7 +416,7 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let in_other = self.space.bank != self.newest.bank;
         let parameters = match new {
             None if !in_other => self.newest.record.parameters,
-            _ => self.append_parameters(new, in_other)?,
+            _ => self.write_parameters(new)?,
         };
         let (at, sequence) = self.take()?;
         let other_is = if in_other { OtherBank::Used } else { other_is };
@@ -441,25 +443,15 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         Ok(place)
     }
 
-    fn append_parameters(
-        &mut self,
-        new: Option<&[u8]>,
-        in_other: bool,
-    ) -> Result<Option<Reference>, Stop> {
+    /// Writes the parts of these parameters, or of those of the newest record.
+    fn write_parameters(&mut self, new: Option<&[u8]>) -> Result<Option<Reference>, Stop> {
         let old = self.newest;
         let stored = old.record.parameters;
         let len = new.map_or(stored.map_or(0, |stored| stored.len), |new| new.len() as u16);
         if len == 0 {
             return Ok(None);
         }
-        let keeps_some = !in_other && stored.is_some() && self.has_taken_all;
-        let new_part = |number| new.and_then(|new| part_of(new, number));
-        let is_kept =
-            |log: &Self, number, part| keeps_some && part_of(log.parameters(), number) == part;
-        let changed = parts(len).filter(|(number, _)| !is_kept(self, *number, new_part(*number)));
-        // In the release image, `count` would keep its panic.
-        let changed = changed.fold(0_u16, |count, _| count.saturating_add(1));
-        if u32::from(changed) >= self.space.len::<F>() {
+        if usize::from(len).div_ceil(PART_LEN) as u32 >= self.space.len::<F>() {
             return Err(Error::Full.into());
         }
         let first = self.space.range.start.saturating_sub(self.space.bank) / F::PLACE;
@@ -467,23 +459,19 @@ impl<F: NorFlash, const STORED_LEN: usize> Log<F, STORED_LEN> {
         let mut crc = u32::MAX;
         for (number, len) in parts(len) {
             let part = match new {
-                Some(_) => new_part(number),
+                Some(new) => part_of(new, number),
                 None => old.part(&mut self.flash, number)?,
             };
-            let bytes = part.ok_or(Error::NotAsWritten)?;
-            crc = record::crc32_of_more(crc, bytes.get(..len).unwrap_or_default());
-            if !is_kept(self, number, part) {
-                let (at, sequence) = self.take()?;
-                let place = record::part_to_bytes(sequence, number, &bytes);
-                if !place::write(&mut self.flash, at, &place)? {
-                    return Err(Error::Refused.into());
-                }
+            crc = record::crc32_of_more(crc, part.get(..len).unwrap_or_default());
+            let (at, sequence) = self.take()?;
+            let place = record::part_to_bytes(sequence, number, &part);
+            if !place::write(&mut self.flash, at, &place)? {
+                return Err(Error::Refused.into());
             }
         }
         if new.is_none() && stored.is_some_and(|stored| stored.crc != !crc) {
             return Err(Error::NotAsWritten.into());
         }
-        let changes = Changes { parts: changed, others: old.place::<F>() as u16 };
-        Ok(Some(Reference { first, len, crc: !crc, changes: keeps_some.then_some(changes) }))
+        Ok(Some(Reference { first, len, crc: !crc }))
     }
 }

@@ -13,14 +13,13 @@
 //! | 10..11 | parameters: their first place, counted from the start of the bank |
 //! | 12..13 | length of the parameters in bytes; `FFFF` none |
 //! | 14..17 | CRC-32 of the parameters |
-//! | 18..19 | the number of parts from that place on; `FFFF` all parts of the parameters, in order |
-//! | 20..21 | the place of an earlier record, to whose parameters the other parts belong; `FFFF` none |
+//! | 18..21 | `FF`; where an earlier version has others, its record is of another layout |
 //! | 22 | state of the [other bank](OtherBank) |
 //! | 23 | number of the layout: `FF` this one |
 //! | 24..27 | CRC-32 (IEEE 802.3) of bytes 0..23; `0000 0000` stands for one that would read blank |
 //! | 28..31 | commit word, `4C 53 53 31` ("LSS1") |
 //!
-//! Without parameters bytes 10..21 are `FF`. The CRC covers the unused bytes, so a later version can use them with kind
+//! Without parameters bytes 10..17 are `FF`. The CRC covers the unused bytes, so a later version can use them with kind
 //! `01`: `FF` there means that an older version wrote the record. A version that reads or writes anything else otherwise
 //! takes another number of the layout, and keeps byte 23, the CRC and the commit word where they are.
 //!
@@ -33,14 +32,11 @@
 //! | 28..29 | the number of the part, from 0 on |
 //! | 30..31 | `53 50` ("SP"): the place holds no record, whatever the bytes before read |
 //!
-//! A store writes and reads back the parts that differ from the stored ones, then the record, which refers to them and
-//! to the record with the others. The first record with parameters in a bank follows all parts.
+//! A store of other parameters writes and reads back all parts, in order, and then the record that refers to them.
 
 use super::Settings;
 use crate::{BitRateSetting, NodeId, bytes::copy};
 
-/// The number of this layout.
-const LAYOUT: u8 = 0xFF;
 /// The size of a record in bytes.
 pub const LEN: usize = 32;
 /// The place of the CRC.
@@ -74,12 +70,11 @@ impl Record {
             }
         };
         const X: u8 = 0xFF;
-        let [p0, p1, p2, p3, p4, p5, p6, p7, p8, p9, p10, p11] =
-            self.parameters.map_or([X; 12], Reference::to_bytes);
+        let [p0, p1, p2, p3, p4, p5, p6, p7] = self.parameters.map_or([X; 8], Reference::to_bytes);
         #[rustfmt::skip]
         let content = [
             s0, s1, s2, s3, kind, node_id, index, X, X, X, p0, p1,
-            p2, p3, p4, p5, p6, p7, p8, p9, p10, p11, self.other_is as u8, LAYOUT,
+            p2, p3, p4, p5, p6, p7, X, X, X, X, self.other_is as u8, X,
         ];
         let [r0, r1, r2, r3] = crc_of(&content);
         let [c0, c1, c2, c3] = COMMIT;
@@ -92,9 +87,10 @@ impl Record {
 
     /// The record in `bytes`, if it is undamaged and holds possible settings.
     pub fn from_bytes(bytes: &[u8; LEN]) -> Option<Self> {
-        let [s0, s1, s2, s3, kind, node_id, index, .., other, layout] = *sealed(bytes)?;
+        let content = sealed(bytes)?;
+        let [s0, s1, s2, s3, kind, node_id, index, .., other, _] = *content;
         let settings = match kind {
-            _ if layout != LAYOUT => return None,
+            _ if !has_this_layout(content) => return None,
             KIND_DEFAULTS => None,
             KIND_SETTINGS => Some(Settings {
                 node_id: NodeId::from_lss(node_id).ok()?,
@@ -120,7 +116,11 @@ fn sealed(bytes: &[u8; LEN]) -> Option<&[u8; CRC_AT]> {
 
 /// Whether these bytes are a record of another layout. Those before this one have the same number, at other addresses.
 pub fn is_of_other_layout(bytes: &[u8; LEN], is_place: bool) -> bool {
-    sealed(bytes).is_some_and(|[.., layout]| !is_place || *layout != LAYOUT)
+    sealed(bytes).is_some_and(|content| !is_place || !has_this_layout(content))
+}
+
+const fn has_this_layout(content: &[u8; CRC_AT]) -> bool {
+    matches!(content, [.., 0xFF, 0xFF, 0xFF, 0xFF, _, 0xFF])
 }
 
 /// What a record says of the other bank.
@@ -148,59 +148,32 @@ pub fn is_newer(sequence: u32, other: u32) -> bool {
 /// The places of the parameters of a record, counted from the start of the bank.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
-    /// The first place with parts of the parameters.
+    /// The place of the first part of the parameters.
     pub first: u16,
     /// The number of bytes of the parameters.
     pub len: u16,
     /// The CRC-32 of these bytes.
     pub crc: u32,
-    /// `None`: all parts begin at `first`, in order.
-    pub changes: Option<Changes>,
-}
-
-/// The parts that a store has changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Changes {
-    /// The number of parts that begin at [`first`](Reference::first).
-    pub parts: u16,
-    /// The place of the record to whose parameters the other parts belong.
-    pub others: u16,
 }
 
 impl Reference {
-    /// The first place after the parts.
-    pub fn end(&self) -> u32 {
-        let parts = self
-            .changes
-            .map_or(usize::from(self.len).div_ceil(PART_LEN), |changes| changes.parts.into());
-        u32::from(self.first).saturating_add(parts as u32)
-    }
-
-    fn to_bytes(self) -> [u8; 12] {
-        let Changes { parts, others } = self.changes.unwrap_or(NO_CHANGES);
+    fn to_bytes(self) -> [u8; 8] {
         let ([f0, f1], [l0, l1]) = (self.first.to_le_bytes(), self.len.to_le_bytes());
         let [c0, c1, c2, c3] = self.crc.to_le_bytes();
-        let ([p0, p1], [o0, o1]) = (parts.to_le_bytes(), others.to_le_bytes());
-        [f0, f1, l0, l1, c0, c1, c2, c3, p0, p1, o0, o1]
+        [f0, f1, l0, l1, c0, c1, c2, c3]
     }
 
     /// The reference in a record, if it has parameters.
-    pub fn of_record(bytes: &[u8; LEN]) -> Option<Self> {
-        let [_, _, _, _, _, _, _, _, _, _, rest @ ..] = *bytes;
-        let [f0, f1, l0, l1, c0, c1, c2, c3, p0, p1, o0, o1, ..] = rest;
-        let changes =
-            Changes { parts: u16::from_le_bytes([p0, p1]), others: u16::from_le_bytes([o0, o1]) };
+    fn of_record(bytes: &[u8; LEN]) -> Option<Self> {
+        let [_, _, _, _, _, _, _, _, _, _, f0, f1, l0, l1, c0, c1, c2, c3, ..] = *bytes;
         let len = u16::from_le_bytes([l0, l1]);
         (len != u16::MAX).then_some(Self {
             first: u16::from_le_bytes([f0, f1]),
             len,
             crc: u32::from_le_bytes([c0, c1, c2, c3]),
-            changes: (changes != NO_CHANGES).then_some(changes),
         })
     }
 }
-
-const NO_CHANGES: Changes = Changes { parts: u16::MAX, others: u16::MAX };
 
 /// 32 bytes of flash with a part of the parameters: sequence, 24 bytes of them, the number of the part, two bytes that
 /// the commit word has not.
@@ -215,10 +188,10 @@ pub fn part_to_bytes(sequence: u32, number: u16, part: &[u8; PART_LEN]) -> [u8; 
     bytes
 }
 
-/// The number of a part, and the part, in 32 bytes of flash.
-pub fn part_from_bytes(bytes: &[u8; LEN]) -> (u16, [u8; PART_LEN]) {
-    let [_, _, _, _, part @ .., n0, n1, _, _] = *bytes;
-    (u16::from_le_bytes([n0, n1]), part)
+/// The part in 32 bytes of flash.
+pub fn part_from_bytes(bytes: &[u8; LEN]) -> [u8; PART_LEN] {
+    let [_, _, _, _, part @ .., _, _, _, _] = *bytes;
+    part
 }
 
 const KIND_SETTINGS: u8 = 0x01;

@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     bytes::copy,
-    settings::record::{self, Changes, PART_LEN, Record, Reference},
+    settings::record::{self, PART_LEN, Record, Reference},
 };
 
 /// The newest valid record.
@@ -19,36 +19,16 @@ pub struct Newest {
 }
 
 impl Newest {
-    /// The part of the parameters with this number; `None` if the log is damaged.
-    pub fn part<F: Layout>(
-        &self,
-        flash: &mut F,
-        number: u16,
-    ) -> Result<Option<[u8; PART_LEN]>, Error> {
-        let mut end = self.place::<F>();
-        let mut reference = self.record.parameters;
-        // Each reference lies before the one from which it was found.
-        while let Some(Reference { first, changes, .. }) = reference.filter(|it| it.end() <= end) {
-            let Some(Changes { parts, others }) = changes else {
-                let place = u32::from(first).saturating_add(number.into());
-                let is_there = reference.is_some_and(|it| place < it.end());
-                let bytes = place::content(flash, self.address::<F>(place))?;
-                return Ok(is_there.then_some(record::part_from_bytes(&bytes).1));
-            };
-            for place in first..first.saturating_add(parts) {
-                let bytes = place::content(flash, self.address::<F>(place.into()))?;
-                let (found, part) = record::part_from_bytes(&bytes);
-                if found == number {
-                    return Ok(Some(part));
-                }
-            }
-            if others >= first {
-                break;
-            }
-            end = others.into();
-            reference = Reference::of_record(&place::content(flash, self.address::<F>(end))?);
+    /// The part of the parameters with this number.
+    pub fn part<F: Layout>(&self, flash: &mut F, number: u16) -> Result<[u8; PART_LEN], Error> {
+        let first = self.record.parameters.map_or(u16::MAX, |reference| reference.first);
+        let place = u32::from(first).saturating_add(number.into());
+        let at = place.saturating_mul(F::PLACE).saturating_add(self.bank);
+        // All parts lie before their record.
+        if at >= self.at {
+            return Err(Error::NotAsWritten);
         }
-        Ok(None)
+        Ok(record::part_from_bytes(&place::content(flash, at)?))
     }
 
     /// Whether the parameters are complete and undamaged.
@@ -58,21 +38,12 @@ impl Newest {
         };
         let mut found = u32::MAX;
         for (number, len) in parts(len) {
-            let Ok(Some(part)) = self.part(flash, number) else {
+            let Ok(part) = self.part(flash, number) else {
                 return false;
             };
             found = record::crc32_of_more(found, part.get(..len).unwrap_or_default());
         }
         !found == crc
-    }
-
-    /// The number of its place.
-    pub fn place<F: Layout>(&self) -> u32 {
-        self.at.saturating_sub(self.bank) / F::PLACE
-    }
-
-    fn address<F: Layout>(&self, place: u32) -> u32 {
-        place.saturating_mul(F::PLACE).saturating_add(self.bank)
     }
 }
 
@@ -82,10 +53,11 @@ pub fn parts(len: u16) -> impl Iterator<Item = (u16, usize)> {
     (0..).zip(starts.map(move |start| usize::from(len).saturating_sub(start).min(PART_LEN)))
 }
 
-/// The part of packed parameters with this number, if there is one; unused bytes are FF.
-pub fn part_of(packed: &[u8], number: u16) -> Option<[u8; PART_LEN]> {
+/// The part of packed parameters with this number; unused bytes are FF.
+pub fn part_of(packed: &[u8], number: u16) -> [u8; PART_LEN] {
     let mut part = [0xFF; PART_LEN];
-    (copy(packed, usize::from(number).saturating_mul(PART_LEN), &mut part) > 0).then_some(part)
+    copy(packed, usize::from(number).saturating_mul(PART_LEN), &mut part);
+    part
 }
 
 /// The parameters of a record in the flash, read from the start to the end.
@@ -118,7 +90,7 @@ impl<'a, F: Layout> Blob<'a, F> {
             let number = (self.at / PART_LEN) as u16;
             let part = match self.last {
                 Some((last, part)) if last == number => part,
-                _ => self.newest.part(self.flash, number)?.ok_or(Error::NotAsWritten)?,
+                _ => self.newest.part(self.flash, number)?,
             };
             self.last = Some((number, part));
             let read = copy(&part, self.at % PART_LEN, to);
