@@ -411,7 +411,7 @@ impl<N: Numbers> Pdos<N> {
     pub fn poll_at(&self, postpone: impl Fn(Instant) -> Option<Instant>) -> Option<Instant> {
         let due = |at| {
             let tpdo: &Transmission = self.tpdos.as_ref().get(at)?;
-            // An event timer that is over while the TPDO is inhibited would ask for the next call at once, again and again.
+            // An event timer that is over within the inhibit time would ask for the next call at once, again and again.
             tpdo.inhibited_until().or_else(|| postpone(tpdo.event_at()?))
         };
         self.event_driven

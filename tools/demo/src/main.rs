@@ -1,23 +1,23 @@
 //! `cargo demo`: an LSS master configures emulated boards with the release firmware.
 
+mod arguments;
 mod diagram;
 mod record;
 mod screen;
 
 use std::{
+    env,
     fs::{self, File},
-    io,
-    path::{Path, PathBuf},
+    io::{self, Write},
+    path::Path,
     process::ExitCode,
     time::Instant,
 };
 
 use anstyle::{AnsiColor, Style};
 use anyhow::{Context, bail, ensure};
-use clap::Parser;
 use emulator::{
     Time,
-    chip::Part,
     network::{Event, What},
 };
 use lss_master::Fastscan;
@@ -32,6 +32,7 @@ use testkit::{
     sessions,
 };
 
+use arguments::{Arguments, HELP};
 use screen::Screen;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -42,31 +43,6 @@ const SWITCH_DELAY_MS: u16 = 100;
 const TOLERANCE: Time = Time::from_ms(10);
 /// The time from the reception of a frame to its record.
 const TO_THE_END: Time = Time::from_us(100);
-
-/// Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
-///
-/// The boards are emulated STM32F4s with the release firmware, one of them blank. Fails if anything differs from
-/// CiA 305.
-#[derive(Parser)]
-#[command(name = "cargo demo", bin_name = "cargo demo", verbatim_doc_comment)]
-struct Arguments {
-    /// Show every frame of the Fastscan, not only the start and end of its parts
-    #[arg(long)]
-    all: bool,
-    /// The chip on the boards, such as stm32f446; the README lists them all
-    #[arg(long, default_value = testkit::image::PART.name())]
-    chip: Part,
-    /// Draw the switch of the bit rate as a timing diagram
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// Write the frames as `candump -l` does
-    #[arg(long, value_name = "FILE")]
-    candump: Option<PathBuf>,
-    /// Write the frames as a capture for Wireshark. To see CANopen: Decode As, CAN next level, or
-    /// `tshark -d can.subdissector,canopen`
-    #[arg(long, value_name = "FILE")]
-    pcap: Option<PathBuf>,
-}
 
 impl Arguments {
     /// Checks before the session that its records can be written. A file that is there keeps its content.
@@ -101,7 +77,19 @@ fn cannot_write(path: &Path) -> String {
 }
 
 fn main() -> ExitCode {
-    match run(&Arguments::parse()) {
+    let arguments = match Arguments::parse(env::args_os().skip(1)) {
+        Ok(Some(arguments)) => arguments,
+        Ok(None) => {
+            // Whoever closes the pipe has read enough.
+            let _ = io::stdout().write_all(HELP.as_bytes());
+            return ExitCode::SUCCESS;
+        }
+        Err(error) => {
+            anstream::eprintln!("{ERROR}error:{ERROR:#} {error:#}");
+            return ExitCode::from(2);
+        }
+    };
+    match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
