@@ -164,6 +164,7 @@ impl Control {
     }
 
     /// Records that the node has sent a frame.
+    #[inline(never)] // A settled slave does not call it.
     pub(crate) fn note_sent(&mut self, now: Instant) {
         self.supervision.note_sent(now);
     }

@@ -58,22 +58,8 @@ pub(super) struct Supervision {
     previous: Option<BitRate>,
     trusted_until: Option<Instant>,
     place: Place,
-    /// The end of the stay at the place, or of the wait for an acknowledge there.
-    until: Option<Instant>,
-    /// Errors at the place since the latest valid frame. A turn at home counts with the stay before it.
-    errors: u8,
-    /// The rate of the stay or the next one, or of the guest.
-    found: BitRate,
-    /// An error has led from one rate to another during the stay.
-    has_moved: bool,
-    /// The stays of the search.
-    stays: u8,
-    /// The time of the latest valid frame that a guest has received, or had acknowledged.
-    heard_at: Instant,
     /// The node is in LSS configuration state.
     is_in_session: bool,
-    /// The guest has answered a request, or will.
-    is_asked: bool,
     /// The step that [`poll`](Self::poll) returns next.
     step: Option<Step>,
     /// The rate at which the node last took part, as returned by [`take_change`](Self::take_change).
@@ -81,21 +67,48 @@ pub(super) struct Supervision {
     rescues: u16,
 }
 
-/// The rate in use, and whether the node takes part there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Where the node is, and what it knows there.
+#[derive(Clone, Copy, Debug)]
 enum Place {
-    /// Takes part at home.
-    Home,
+    /// Takes part at home; `until` is the end of the wait for an acknowledge.
+    Home { until: Option<Instant> },
     /// Takes part at home but sends nothing, since nobody acknowledges.
-    Pause,
-    /// Listens at the next rate of the round, home among them: a stay.
-    ListenInRound,
-    /// Listens at home between two stays: a turn of home.
-    ListenAtHome,
+    Pause { until: Instant },
+    /// Listens at a rate of the round, home among them, in one of so many stays.
+    Round { stay: Stay, stays: u8 },
+    /// Listens at home between two stays, the next of them at this rate: a turn of home.
+    AtHome { next: BitRate, stays: u8, has_heard: bool, until: Instant },
     /// Listens to detect a home rate.
-    ListenToDetect,
+    Detecting(Stay),
     /// Takes part at the rate found, and only answers.
-    Guest,
+    Guest {
+        rate: BitRate,
+        /// The time of the latest valid frame that was received or acknowledged.
+        heard_at: Instant,
+        /// The errors since then.
+        errors: u8,
+        /// It has answered a request, or will.
+        is_asked: bool,
+        /// The end of the wait for an acknowledge.
+        until: Option<Instant>,
+    },
+}
+
+/// A stay at a rate, as a listener.
+#[derive(Clone, Copy, Debug)]
+struct Stay {
+    rate: BitRate,
+    until: Option<Instant>,
+    /// There was an error, so there is traffic.
+    has_heard: bool,
+    /// An error has led from one rate to this one.
+    has_moved: bool,
+}
+
+impl Stay {
+    const fn new(rate: BitRate, until: Option<Instant>) -> Self {
+        Self { rate, until, has_heard: false, has_moved: false }
+    }
 }
 
 impl Supervision {
@@ -103,9 +116,10 @@ impl Supervision {
     /// setting demands it.
     pub const fn new(setting: BitRateSetting, rates: BitRates) -> Self {
         let (home, place, step) = match setting {
-            BitRateSetting::Fixed(rate) => (rate, Place::Home, None),
+            BitRateSetting::Fixed(rate) => (rate, Place::Home { until: None }, None),
             BitRateSetting::Automatic => {
-                (rates.fastest(), Place::ListenToDetect, Some(Step::Listen(rates.fastest())))
+                let rate = rates.fastest();
+                (rate, Place::Detecting(Stay::new(rate, None)), Some(Step::Listen(rate)))
             }
         };
         Self {
@@ -117,14 +131,7 @@ impl Supervision {
             previous: None,
             trusted_until: None,
             place,
-            until: None,
-            errors: 0,
-            found: home,
-            has_moved: false,
-            stays: 0,
-            heard_at: Instant::from_micros(0),
             is_in_session: false,
-            is_asked: false,
             step,
             active: home,
             rescues: 0,
@@ -139,8 +146,9 @@ impl Supervision {
     /// The bit rate at which the controller runs or listens.
     pub const fn bit_rate(&self) -> BitRate {
         match self.place {
-            Place::Home | Place::Pause | Place::ListenAtHome => self.home,
-            Place::ListenInRound | Place::ListenToDetect | Place::Guest => self.found,
+            Place::Home { .. } | Place::Pause { .. } | Place::AtHome { .. } => self.home,
+            Place::Round { stay, .. } | Place::Detecting(stay) => stay.rate,
+            Place::Guest { rate, .. } => rate,
         }
     }
 
@@ -161,27 +169,27 @@ impl Supervision {
 
     /// Whether the controller listens silently.
     pub const fn is_listening(&self) -> bool {
-        matches!(self.place, Place::ListenInRound | Place::ListenAtHome | Place::ListenToDetect)
+        matches!(self.place, Place::Round { .. } | Place::AtHome { .. } | Place::Detecting(_))
     }
 
     /// Whether the node may send frames.
     pub const fn may_send(&self) -> bool {
-        !self.is_listening() && !matches!(self.place, Place::Pause)
+        !self.is_listening() && !matches!(self.place, Place::Pause { .. })
     }
 
     /// Whether the node takes part at a rate that it has found.
     pub const fn is_guest(&self) -> bool {
-        matches!(self.place, Place::Guest)
+        matches!(self.place, Place::Guest { .. })
     }
 
     /// Whether the node may report itself, which a guest only does once it was asked.
     pub const fn may_report(&self) -> bool {
-        self.may_send() && (!self.is_guest() || self.is_asked)
+        self.may_send() && !matches!(self.place, Place::Guest { is_asked: false, .. })
     }
 
     /// Whether automatic detection has not found a rate yet.
     pub const fn is_detecting(&self) -> bool {
-        matches!(self.place, Place::ListenToDetect)
+        matches!(self.place, Place::Detecting(_))
     }
 
     /// Whether only the commanded rate is used for a while.
@@ -196,19 +204,20 @@ impl Supervision {
 
     /// Whether nothing but a switch makes a difference any more.
     pub const fn is_settled(&self) -> bool {
-        self.is_proven && matches!(self.place, Place::Home) && self.step.is_none()
+        self.is_proven && matches!(self.place, Place::Home { .. }) && self.step.is_none()
     }
 
     /// Whether the controller listens in a search, at a rate other than home.
     pub fn is_elsewhere(&self) -> bool {
-        self.place == Place::ListenInRound && self.found != self.home
+        matches!(self.place, Place::Round { stay, .. } if stay.rate != self.home)
     }
 
     /// The rate at which the node takes part, if it differs from the last one returned or commanded: the node has
     /// become a guest or has returned home.
     pub fn take_change(&mut self) -> Option<BitRate> {
         let rate = self.bit_rate();
-        if !matches!(self.place, Place::Home | Place::Guest) || rate == self.active {
+        let takes_part = matches!(self.place, Place::Home { .. } | Place::Guest { .. });
+        if !takes_part || rate == self.active {
             return None;
         }
         self.active = rate;
@@ -223,8 +232,7 @@ impl Supervision {
     pub fn command(&mut self, rate: BitRate, silent_until: Instant) {
         let before = self.bit_rate();
         if rate == before {
-            // A guest has heard the others at this rate.
-            self.is_proven |= self.place == Place::Guest;
+            self.is_proven |= self.is_guest();
         } else {
             self.is_proven = !self.is_enabled;
             self.previous = Some(before);
@@ -232,29 +240,32 @@ impl Supervision {
         }
         self.home = rate;
         self.active = rate;
-        self.enter(Place::Home, None);
+        self.place = Place::Home { until: None };
         self.trusted_until = Some(silent_until.plus_micros(TRUST_MICROS));
     }
 
     /// Begins automatic detection.
     pub fn detect(&mut self) {
-        self.found = self.rates.fastest();
-        self.enter(Place::ListenToDetect, None);
-        self.step = Some(Step::Listen(self.found));
+        self.detect_at(self.rates.fastest(), None);
         self.trusted_until = None;
     }
 
     /// Records that the node has sent a frame; that of a guest is an answer.
     pub fn note_sent(&mut self, now: Instant) {
-        self.is_asked = true;
-        if self.is_guest() || self.place == Place::Home && !self.is_proven {
-            self.until.get_or_insert(now.plus_micros(REPEAT_MICROS));
+        let acknowledged_by = now.plus_micros(REPEAT_MICROS);
+        self.note_asked();
+        match &mut self.place {
+            Place::Home { until } if !self.is_proven => _ = until.get_or_insert(acknowledged_by),
+            Place::Guest { until, .. } => _ = until.get_or_insert(acknowledged_by),
+            _ => {}
         }
     }
 
     /// Records a request that the node will answer.
     pub const fn note_asked(&mut self) {
-        self.is_asked = true;
+        if let Place::Guest { is_asked, .. } = &mut self.place {
+            *is_asked = true;
+        }
     }
 
     /// Records whether the node is in LSS configuration state.
@@ -270,15 +281,13 @@ impl Supervision {
             BusEvent::Acknowledged if !self.is_listening() => self.handle_valid(now),
             BusEvent::Error => self.handle_error(true, now),
             // In a turn at home it is a frame that nobody has acknowledged.
-            BusEvent::FormError if self.place != Place::ListenAtHome => {
+            BusEvent::FormError if !matches!(self.place, Place::AtHome { .. }) => {
                 self.handle_error(false, now);
             }
             // Reception cannot wait for the recovery, which takes hundreds of frames on a busy bus. A controller that
             // takes part at once would destroy the frames of a master at another rate.
-            BusEvent::BusOff if !self.is_proven && self.place == Place::Home => {
-                self.enter(Place::ListenAtHome, Some(self.pause_end(now)));
-                self.stays = MOST_STAYS;
-                self.step = Some(Step::Listen(self.home));
+            BusEvent::BusOff if matches!(self.place, Place::Home { .. }) => {
+                self.listen_at_home(self.home, MOST_STAYS, false, self.pause_end(now));
             }
             // A short circuit is no evidence of another rate.
             BusEvent::HeldDominant if self.is_listening() && !self.is_detecting() => {
@@ -289,12 +298,18 @@ impl Supervision {
     }
 
     fn handle_valid(&mut self, now: Instant) {
-        match self.place {
-            Place::Guest => (self.errors, self.until, self.heard_at) = (0, None, now),
-            Place::ListenInRound if self.found != self.home => self.join(now),
-            Place::ListenToDetect => {
-                self.home = self.found;
-                self.active = self.found;
+        match &mut self.place {
+            Place::Guest { heard_at, errors, until, .. } => {
+                (*heard_at, *errors, *until) = (now, 0, None);
+            }
+            Place::Round { stay, .. } if stay.rate != self.home => {
+                let rate = stay.rate;
+                self.place =
+                    Place::Guest { rate, heard_at: now, errors: 0, is_asked: false, until: None };
+                self.step = Some(Step::TakePart(rate));
+            }
+            Place::Detecting(stay) => {
+                (self.home, self.active) = (stay.rate, stay.rate);
                 self.prove();
             }
             _ => self.prove(),
@@ -304,28 +319,41 @@ impl Supervision {
     /// Handles an error; a form error does not lead to another rate: a silent listener sees one when a frame is not
     /// acknowledged.
     fn handle_error(&mut self, leads_on: bool, now: Instant) {
-        self.errors = self.errors.saturating_add(1);
         match self.place {
-            Place::Home | Place::Pause if !self.is_proven && self.trusted_until.is_none() => {
-                let fastest = self.next_rate(BitRate::Kbit10);
-                let other = if fastest == self.home { self.next_rate(fastest) } else { fastest };
-                // After a switch the others may still be at the rate before, if they have missed it.
-                self.found = self.previous.take().unwrap_or(other);
-                self.stays = 0;
-                self.stay(now);
-            }
-            Place::Guest if self.errors >= MOST_ERRORS => self.take_turn(true, now),
-            Place::ListenInRound | Place::ListenToDetect => {
-                let end = now.plus_micros(HEARD_MICROS);
-                self.until = Instant::earliest(self.until, Some(end));
-                if leads_on {
-                    self.has_moved = true;
-                    self.found = self.next_rate(self.found);
-                    self.step = Some(Step::Listen(self.found));
+            Place::Home { .. } | Place::Pause { .. } => {
+                if !self.is_proven && self.trusted_until.is_none() {
+                    let fastest = self.next_rate(BitRate::Kbit10);
+                    let other =
+                        if fastest == self.home { self.next_rate(fastest) } else { fastest };
+                    let rate = self.previous.take().unwrap_or(other);
+                    self.stay(rate, 0, now);
                 }
             }
-            _ => {}
+            Place::Guest { rate, ref mut errors, .. } => {
+                *errors = errors.saturating_add(1);
+                if *errors >= MOST_ERRORS {
+                    self.take_turn(rate, 0, true, now);
+                }
+            }
+            Place::Round { stay, stays } => {
+                self.place = Place::Round { stay: self.note_traffic(stay, leads_on, now), stays };
+            }
+            Place::Detecting(stay) => {
+                self.place = Place::Detecting(self.note_traffic(stay, leads_on, now));
+            }
+            Place::AtHome { ref mut has_heard, .. } => *has_heard = true,
         }
+    }
+
+    /// The stay after an error, which shows that there is traffic.
+    fn note_traffic(&mut self, stay: Stay, leads_on: bool, now: Instant) -> Stay {
+        let until = Instant::earliest(stay.until, Some(now.plus_micros(HEARD_MICROS)));
+        let mut stay = Stay { until, has_heard: true, ..stay };
+        if leads_on {
+            (stay.rate, stay.has_moved) = (self.next_rate(stay.rate), true);
+            self.step = Some(Step::Listen(stay.rate));
+        }
+        stay
     }
 
     /// Returns the next step, if one is due at `now`.
@@ -335,7 +363,7 @@ impl Supervision {
             if is_over(self.trusted_until) {
                 self.trusted_until = None;
             }
-            if is_over(self.until) || is_over(self.silence_end()) {
+            if is_over(self.end()) {
                 self.end_stay(now);
             }
         }
@@ -344,66 +372,56 @@ impl Supervision {
 
     /// The latest time of the next [`poll`](Self::poll), if nothing else happens before.
     pub fn poll_at(&self) -> Option<Instant> {
-        Instant::earliest(Instant::earliest(self.until, self.silence_end()), self.trusted_until)
+        Instant::earliest(self.end(), self.trusted_until)
     }
 
-    /// The time at which a guest leaves if it hears nothing.
-    fn silence_end(&self) -> Option<Instant> {
-        let micros = if self.is_in_session { SESSION_MICROS } else { SILENCE_MICROS };
-        self.is_guest().then(|| self.heard_at.plus_micros(micros))
+    /// The end of the stay at the place.
+    fn end(&self) -> Option<Instant> {
+        match self.place {
+            Place::Home { until } => until,
+            Place::Pause { until } | Place::AtHome { until, .. } => Some(until),
+            Place::Round { stay, .. } | Place::Detecting(stay) => stay.until,
+            Place::Guest { heard_at, until, .. } => {
+                let silence = if self.is_in_session { SESSION_MICROS } else { SILENCE_MICROS };
+                Instant::earliest(until, Some(heard_at.plus_micros(silence)))
+            }
+        }
     }
 
     fn end_stay(&mut self, now: Instant) {
-        let has_heard = self.errors > 0;
         match self.place {
-            // Nobody has acknowledged. A frame that is repeated without a pause keeps slower nodes from joining.
-            Place::Home => {
-                self.pause(now);
+            Place::Home { .. } => {
+                self.place = Place::Pause { until: self.pause_end(now) };
                 self.step = Some(Step::DropFrames);
             }
-            Place::Pause => self.enter(Place::Home, None),
-            Place::ListenInRound => {
-                self.advance();
-                self.take_turn(has_heard, now);
+            Place::Pause { .. } => self.place = Place::Home { until: None },
+            Place::Round { stay, stays } => {
+                self.take_turn(self.rate_after(stay), stays, stay.has_heard, now);
             }
-            Place::ListenAtHome if has_heard && self.stays < MOST_STAYS => self.stay(now),
-            Place::ListenAtHome => self.stay_home(),
-            Place::Guest => self.take_turn(false, now),
-            Place::ListenToDetect if has_heard => {
-                self.advance();
-                self.enter(Place::ListenToDetect, Some(now.plus_micros(STAY_MICROS)));
-                self.step = Some(Step::Listen(self.found));
+            Place::AtHome { next, stays, has_heard: true, .. } if stays < MOST_STAYS => {
+                self.stay(next, stays, now);
             }
-            Place::ListenToDetect => self.detect(),
+            Place::AtHome { .. } => self.stay_home(),
+            Place::Guest { rate, .. } => self.take_turn(rate, 0, false, now),
+            Place::Detecting(stay) if stay.has_heard => {
+                self.detect_at(self.rate_after(stay), Some(now.plus_micros(STAY_MICROS)));
+            }
+            Place::Detecting(_) => self.detect(),
         }
     }
 
-    fn enter(&mut self, place: Place, until: Option<Instant>) {
-        (self.place, self.until) = (place, until);
-        (self.errors, self.has_moved) = (0, false);
+    /// The rate of the next stay.
+    fn rate_after(&self, stay: Stay) -> BitRate {
+        if stay.has_moved { stay.rate } else { self.next_rate(stay.rate) }
     }
 
-    /// Ends the stay at a rate.
-    fn advance(&mut self) {
-        if !self.has_moved {
-            self.found = self.next_rate(self.found);
-        }
-    }
-
-    fn pause(&mut self, now: Instant) {
-        self.enter(Place::Pause, Some(self.pause_end(now)));
+    fn detect_at(&mut self, rate: BitRate, until: Option<Instant>) {
+        self.place = Place::Detecting(Stay::new(rate, until));
+        self.step = Some(Step::Listen(rate));
     }
 
     fn pause_end(&self, now: Instant) -> Instant {
-        // Boards that pause together would begin again together, so each waits for a time of its own.
         now.plus_micros(PAUSE_MICROS + PAUSE_STEP_MICROS * (self.serial_number & 0xFF))
-    }
-
-    /// Becomes a guest.
-    fn join(&mut self, now: Instant) {
-        self.enter(Place::Guest, None);
-        (self.stays, self.is_asked, self.heard_at) = (0, false, now);
-        self.step = Some(Step::TakePart(self.found));
     }
 
     /// Takes part at home for good.
@@ -417,22 +435,25 @@ impl Supervision {
         if self.is_listening() {
             self.step = Some(Step::TakePart(self.home));
         }
-        self.enter(Place::Home, None);
+        self.place = Place::Home { until: None };
     }
 
-    /// Listens at the next rate of the round.
-    fn stay(&mut self, now: Instant) {
-        self.enter(Place::ListenInRound, Some(now.plus_micros(STAY_MICROS)));
-        self.stays = self.stays.saturating_add(1);
-        self.step = Some(Step::Listen(self.found));
+    /// Listens at a rate of the round, after so many stays.
+    fn stay(&mut self, rate: BitRate, stays: u8, now: Instant) {
+        let stay = Stay::new(rate, Some(now.plus_micros(STAY_MICROS)));
+        self.place = Place::Round { stay, stays: stays.saturating_add(1) };
+        self.step = Some(Step::Listen(rate));
     }
 
     /// Listens at home, and then at the next rate if there was an error at the last one, or is one at home.
-    fn take_turn(&mut self, has_heard: bool, now: Instant) {
+    fn take_turn(&mut self, next: BitRate, stays: u8, has_heard: bool, now: Instant) {
         let micros =
             TURN_MICROS + TURN_FRAMES * FRAME_BITS * 1000 / u32::from(self.home.kbit_per_s());
-        self.enter(Place::ListenAtHome, Some(now.plus_micros(micros)));
-        self.errors = has_heard.into();
+        self.listen_at_home(next, stays, has_heard, now.plus_micros(micros));
+    }
+
+    fn listen_at_home(&mut self, next: BitRate, stays: u8, has_heard: bool, until: Instant) {
+        self.place = Place::AtHome { next, stays, has_heard, until };
         self.step = Some(Step::Listen(self.home));
     }
 
