@@ -104,6 +104,9 @@ const CASES: &[Case] = &[
         bench.play("51 00 00 00 00 80 = 4F; 51 V 00 00 01 = 4F; 51 00 00 00 00 80 = 4F")?;
         bench.play("51 P 00 01 02 = -; 51 V 00 00 01 = 4F; 51 P 00 01 02 = 4F")
     }),
+    Case::new("A match of some bits does not end the scan, whatever Next is", |bench| {
+        bench.play("51 00 00 00 00 80 = 4F; 51 V 00 00 01 = 4F; 51 P 01 01 00 = 4F; waiting")
+    }),
 ];
 
 /// The beginning of a scan.

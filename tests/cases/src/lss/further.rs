@@ -110,13 +110,13 @@ const CASES: &[Case] = &[
         at_once(bench, "5E; 04 00", "5E NN")?;
         bench.expect_waiting()
     }),
-    Case::new("A request behind 17 is answered, though the store may be running", |bench| {
+    Case::new("Requests behind 17 are answered, though the store may be running", |bench| {
         with_stored_values(bench, |bench| {
             bench.play("11 NN = 11; 04 01")?;
-            at_once(bench, "17; 5A", "17; 5A V")
+            at_once(bench, "17; 5A; 17", "17; 17; 5A V")
         })
     })
-    .with_remark("The order of the two answers is open."),
+    .with_remark("The order of the answers is open."),
     Case::new("An answer takes at most 1 ms, that to a store at most 20 ms", |bench| {
         bench.enter()?;
         for request in [0x5A, 0x5B, 0x5C, 0x5D, 0x5E, 0x11] {
@@ -141,6 +141,11 @@ const CASES: &[Case] = &[
             })
         },
     ),
+    Case::new("04 01 and a step that differs end an identify that has begun", |bench| {
+        bench.needs_feature(Feature::Identify)?;
+        bench.play("46 V; 47 P; 48 R; 49 R; 4A S; 04 01; 4B S = -")?;
+        bench.play("46 V; 47 V; 47 P; 48 R; 49 R; 4A S; 4B S = -")
+    }),
 ];
 
 /// Sends requests without a pause, and expects these answers and no other. The answers may have any order if one of

@@ -35,6 +35,8 @@ const CASES: &[Case] = &[
             bench.play(
                 "11 MM = -; 13 00 04 = -; 15 = -; 17 = -; 5A = -; 5B = -; 5C = -; 5D = -; 5E = -",
             )?;
+            // A switch would have silent delays.
+            bench.play("15 F4 01 = -; 04 01; 5E = 5E NN; 04 00")?;
             bench.play("reset communication; boot-up NN")
         },
     ),

@@ -1,4 +1,4 @@
-//! Own PDO 01..11: rules of PDOs and SYNC that no case of the certifier's tool looks at (CiA 301, 7.2.2 and 7.2.5).
+//! Own PDO 01..12: rules of PDOs and SYNC that no case of the certifier's tool looks at (CiA 301, 7.2.2 and 7.2.5).
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use crate::{
     Group, Step,
     abort::{GENERAL, INVALID_VALUE, NOT_NOW, TOO_HIGH},
     bench::name,
-    emergency, ms,
+    emergency, heartbeat, ms,
     pdo::{self, Direction, Pdo},
 };
 
@@ -126,6 +126,15 @@ const CASES: &[Case] = &[
             bench.check(is_late, "8250h, 200 ms after the last RPDO of the right length")
         },
     ),
+    Case::new("A TPDO that waits for its inhibit time holds up no heartbeat", |bench| {
+        let (tpdo, ..) = inhibited(bench)?;
+        bench.needs((0x1017, 0))?;
+        // Its event timer ends within the inhibit time of 500 ms, again and again.
+        bench.write(tpdo.event_timer(), &20_u16.to_le_bytes())?;
+        heartbeat::set_producer(bench, 50)?;
+        let beats = bench.collect(ms(1_000), 0x700 + u16::from(bench.node))?;
+        bench.check((18..=21).contains(&beats.len()), "20 heartbeats in a second")
+    }),
 ];
 
 /// Error codes of process data.

@@ -52,17 +52,17 @@ const CASES: &[Case] = &[
             Ok(())
         },
     ),
-    Case::new(
-        "A download longer or shorter than announced is aborted, and changes nothing",
-        |bench| {
-            for (unused, codes) in [(4, TOO_MUCH), (6, TOO_LITTLE)] {
-                begin(bench, 0x21, 2)?;
-                bench.expect_abort(segment(unused << 1 | 1, &NEW.to_le_bytes()), codes)?;
-                expect(bench, 0)?;
-            }
-            Ok(())
-        },
-    ),
+    Case::new("More or fewer bytes than announced are refused and change nothing", |bench| {
+        let address = writable_text(bench)?;
+        bench.write(address, b"Before")?;
+        for (announced, codes) in [(3, TOO_MUCH), (5, TOO_LITTLE)] {
+            bench.ask(initiate(0x21, address, announced))?;
+            bench.expect_abort(segment(3 << 1 | 1, b"Four"), codes)?;
+            let data = bench.read(address)?;
+            bench.check(data == b"Before", "the text before")?;
+        }
+        Ok(())
+    }),
     Case::new("A last segment that says no length has what was announced", |bench| {
         begin(bench, 0x21, 2)?;
         let [low, high] = NEW.to_le_bytes();
@@ -91,9 +91,7 @@ const CASES: &[Case] = &[
         Ok(())
     }),
     Case::new("The unused bytes of the last segment are told, none for seven", |bench| {
-        let Entry { address, .. } = find(bench, "writable text", |entry| {
-            entry.kind() == Kind::Text && entry.can_be_written() && entry.can_be_read()
-        })?;
+        let address = writable_text(bench)?;
         for text in [&b"Fourteen bytes"[..], b"Eight by"] {
             bench.write(address, text)?;
             for has_crc in [false, true] {
@@ -205,6 +203,13 @@ fn begin(bench: &mut Bench, command: u8, length: u32) -> Step {
 fn expect(bench: &mut Bench, heartbeat_ms: u16) -> Step {
     let value = bench.number(HEARTBEAT)?;
     bench.check(value == u64::from(heartbeat_ms), format!("1017h is {heartbeat_ms}"))
+}
+
+fn writable_text(bench: &Bench) -> Step<Address> {
+    let text = find(bench, "writable text", |entry| {
+        entry.kind() == Kind::Text && entry.can_be_written() && entry.can_be_read()
+    })?;
+    Ok(text.address)
 }
 
 /// A value of more than seven bytes; the case is skipped if there is none, or no block transfer.

@@ -286,7 +286,7 @@ const SABOTAGES: &[Sabotage] = &[
         to_node: unchanged,
         of_node: |frame| (frame.data() == [0] || frame.cob_id() != 0x740).then_some(frame),
         found_by: "Heartbeat 2 7, State 1 2 3 4, Transition 1 2 3 4, Own 10 11 12, \
-                   Own NMT 1 4 6",
+                   Own NMT 1 4 6, Own PDO 12",
     },
     Sabotage {
         rule: "the end of the heartbeat",
@@ -314,7 +314,7 @@ const SABOTAGES: &[Sabotage] = &[
         wanted: &[],
         to_node: unchanged,
         of_node: |frame| (!is_tpdo(&frame)).then_some(frame),
-        found_by: "PDO 4 5 6 7 8, Synchronization 3, State 3, Own 1 2 6, Own PDO 8 9",
+        found_by: "PDO 4 5 6 7 8, Synchronization 3, State 3, Own 1 2 6, Own PDO 8 9 12",
     },
     Sabotage {
         rule: "the length of a TPDO",
@@ -421,7 +421,7 @@ const SABOTAGES: &[Sabotage] = &[
             [0x4B, 0x17, 0x10, 0, byte, ..] => with_byte(frame, 4, byte ^ 1),
             _ => Some(frame),
         },
-        found_by: "Own SDO 1 4 6 7 8 14 15 16 17 18",
+        found_by: "Own SDO 1 4 7 8 14 15 16 17 18",
     },
     Sabotage {
         rule: "short requests, the threshold and the block size of a block upload",

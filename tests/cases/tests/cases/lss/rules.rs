@@ -197,7 +197,7 @@ pub const SABOTAGES: &[(&str, Rule, &str)] = &[
     (
         "Each 4B is answered",
         Rule { to_device: |memory, frame| answered(memory, frame, 0x4B, &[0x4F]), ..HONEST },
-        "LSS identify 5 6 7 8 9, LSS several 1, LSS further 5",
+        "LSS identify 5 6 7 8 9, LSS several 1, LSS further 5 20",
     ),
     (
         "The bounds of identify have a sign",
@@ -311,7 +311,7 @@ pub const SABOTAGES: &[(&str, Rule, &str)] = &[
             },
             ..HONEST
         },
-        "LSS Fastscan 1 4 5 6 7 8 9 10 11 13, LSS several 2 5, LSS further 7 8",
+        "LSS Fastscan 1 4 5 6 7 8 9 10 11 13 14, LSS several 2 5, LSS further 7 8",
     ),
     (
         "Each 51 is answered",
