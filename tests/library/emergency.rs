@@ -74,15 +74,6 @@ fn while_settings_are_lost_the_end_of_another_fault_sends_no_0000() {
 }
 
 #[test]
-fn simultaneous_faults_are_each_reported_once_and_their_end_last() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for fault in [BusEvent::Overrun, BusEvent::BusOffRecovered, BusEvent::Overrun] {
-        board.report(fault);
-    }
-    assert_eq!(board.pass_us(0), [BUS_OFF_RECOVERED, OVERRUN, NO_ERROR]);
-}
-
-#[test]
 fn without_an_acknowledge_one_emergency_waits_for_the_bus_however_many_faults() {
     let mut board = NodeRig::with_node_id(0x40);
     board.is_acknowledged = false;
@@ -96,31 +87,6 @@ fn without_an_acknowledge_one_emergency_waits_for_the_bus_however_many_faults() 
         assert_eq!(board.acknowledge(other), SILENCE, "{other:?} is another frame's");
     }
     assert_eq!(board.acknowledge(Service::Emergency), [ERROR_PASSIVE, BUS_OFF_RECOVERED]);
-}
-
-#[test]
-fn the_cob_id_is_80h_plus_the_node_id() {
-    for node_id in 1..=127 {
-        let mut board = NodeRig::with_node_id(node_id);
-        let cob_id = 0x080 + u16::from(node_id);
-        let frames = [
-            format!("{cob_id:03X}: 10 81 11 00 00 00 00 00"),
-            format!("{cob_id:03X}: 00 00 00 00 00 00 00 00"),
-        ];
-        assert_eq!(board.see(BusEvent::Overrun), frames.each_ref().map(String::as_str));
-        assert_eq!(board.number(0x1014, 0), u32::from(cob_id));
-    }
-}
-
-#[test]
-fn emergencies_are_sent_in_pre_operational_and_operational_not_in_stopped() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.nmt("01 00");
-    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN, NO_ERROR]);
-    board.nmt("02 00");
-    assert_eq!(board.see(BusEvent::Overrun), SILENCE);
-    assert_eq!(board.pass_ms(1_000), SILENCE);
-    assert_eq!(board.nmt("80 00"), [OVERRUN, NO_ERROR]);
 }
 
 #[test]
@@ -166,19 +132,6 @@ fn a_message_that_left_within_a_switch_is_not_sent_again() {
     assert_eq!(board.acknowledge(Service::Emergency), SILENCE, "it was on the bus");
     board.is_acknowledged = true;
     assert_eq!(board.pass_ms(20), SILENCE);
-}
-
-#[test]
-fn a_boot_up_that_a_switch_has_dropped_is_sent_again_at_any_rate() {
-    for rate in ["13 00 00", "13 00 02"] {
-        let mut board = NodeRig::with_node_id(0x40);
-        board.is_acknowledged = false;
-        assert_eq!(board.nmt("82 40"), ["740: 00"]);
-        board.configure(rate);
-        board.lss("15 0A 00");
-        board.is_acknowledged = true;
-        assert_eq!(board.pass_ms(20), ["740: 00"], "{rate}");
-    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The heartbeat consumer 1016h (CiA 301, 7.2.8.3.2): when a producer is lost, and what follows.
 
-use canopen_node::{Frame, NodeId, application::Event, nmt::State};
+use canopen_node::{Frame, NodeId, application::Event};
 use testkit::{frames::SILENCE, node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::{
@@ -22,43 +22,6 @@ fn watching() -> Board {
 }
 
 #[test]
-fn the_watch_begins_with_the_first_heartbeat() {
-    let mut board = watching();
-    assert_eq!(board.pass_ms(10_000), SILENCE);
-    receive(&mut board, "705: 05");
-    assert_eq!(board.pass_ms(99), SILENCE);
-    assert_eq!(board.pass_ms(1), [NODE_5_LOST]);
-    assert_eq!(take_events(), [Event::HeartbeatLost(node_5()), Event::Nmt(State::PreOperational)]);
-    assert_eq!(board.pass_ms(10_000), SILENCE, "once");
-    assert_eq!(board.number(0x1003, 1), 0x0005_8130);
-}
-
-#[test]
-fn a_heartbeat_in_time_keeps_the_producer() {
-    let mut board = watching();
-    for _ in 0..100 {
-        assert_eq!(receive(&mut board, "705: 7F"), SILENCE);
-        assert_eq!(board.pass_ms(99), SILENCE);
-    }
-    assert_eq!(board.node.nmt_state(), State::Operational);
-}
-
-#[test]
-fn the_error_lasts_until_no_producer_is_lost() {
-    let mut board = watching();
-    set(&mut board, 0x1016, 2, 0x0006_0064, 4);
-    receive(&mut board, "705: 05");
-    receive(&mut board, "706: 05");
-    assert_eq!(board.pass_ms(100), ["0C0: 30 81 11 06 00 00 00 00"], "the latest");
-    assert_eq!(take_events().len(), 3);
-    assert_eq!(receive(&mut board, "705: 05"), SILENCE);
-    assert_eq!(board.number(0x1001, 0), 0x11);
-    assert_eq!(receive(&mut board, "706: 05"), [NO_ERROR]);
-    assert_eq!(board.number(0x1001, 0), 0);
-    assert_eq!(board.pass_ms(100).0.len(), 1, "lost again");
-}
-
-#[test]
 fn messages_and_history_agree_on_the_producers_that_were_lost() {
     let mut board = NodeRig::running(With::<3, 2, 3>::new());
     set(&mut board, 0x1015, 0, 1000, 2);
@@ -70,19 +33,6 @@ fn messages_and_history_agree_on_the_producers_that_were_lost() {
     assert_eq!(board.pass_ms(1_000), messages);
     let history = [0, 1, 2].map(|sub_index| board.number(0x1003, sub_index));
     assert_eq!(history, [2, 0x0003_8130, 0x0001_8130]);
-}
-
-#[test]
-fn the_effect_of_a_lost_producer_is_that_of_1029() {
-    for (behaviour, expected) in
-        [(0, State::PreOperational), (1, State::Operational), (2, State::Stopped)]
-    {
-        let mut board = watching();
-        set(&mut board, 0x1029, 1, behaviour, 1);
-        receive(&mut board, "705: 05");
-        board.pass_ms(100);
-        assert_eq!(board.node.nmt_state(), expected, "{behaviour}");
-    }
 }
 
 #[test]
@@ -136,25 +86,4 @@ fn the_silence_of_a_switch_loses_no_producer() {
     assert_eq!(board.pass_ms(2_000), ["1C0: 00 00 00"]);
     assert_eq!(board.pass_ms(99), SILENCE);
     assert_eq!(board.pass_ms(1), [NODE_5_LOST], "a period after it");
-}
-
-#[test]
-fn reset_communication_ends_the_watch_and_its_error() {
-    let mut board = watching();
-    receive(&mut board, "705: 05");
-    board.pass_ms(100);
-    assert_eq!(board.nmt("82 40"), ["740: 00", NO_ERROR]);
-    assert_eq!((board.number(0x1016, 1), board.number(0x1001, 0)), (0, 0));
-}
-
-#[test]
-fn a_lost_producer_is_reported_at_once_and_then_the_state_that_nobody_commanded() {
-    for behaviour in [0, 2] {
-        let mut board = watching();
-        set(&mut board, 0x1017, 0, 60_000, 2);
-        set(&mut board, 0x1029, 1, behaviour, 1);
-        receive(&mut board, "705: 05");
-        let state = if behaviour == 0 { "740: 7F" } else { "740: 04" };
-        assert_eq!(board.pass_ms(100), [NODE_5_LOST, state]);
-    }
 }

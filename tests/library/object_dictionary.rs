@@ -5,21 +5,14 @@ use std::panic;
 use canopen_node::{
     BusEvent,
     application::{self, Dictionary},
-    lss::Address,
     object_dictionary::{DataType, Entry, TABLE},
 };
-use testkit::{
-    flash::BoardFlash,
-    node_rig::{NodeRig, defaults},
-    random::Random,
-    sdo::Client,
-};
+use testkit::{node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::Machine;
 
 const DOES_NOT_EXIST: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
-const INVALID_VALUE: u32 = 0x0609_0030;
 const NO_DATA: u32 = 0x0800_0024;
 
 #[test]
@@ -69,37 +62,6 @@ fn the_error_history_holds_the_last_eight_errors_the_newest_first() {
 }
 
 #[test]
-fn writing_0_clears_the_error_history_and_any_other_number_is_refused() {
-    let (mut board, _) = history_of(3);
-    for number in 1..=u8::MAX {
-        assert_eq!(board.download(0x1003, 0, &[number]), Err(INVALID_VALUE));
-    }
-    assert_eq!(board.number(0x1003, 0), 3);
-    // Without its size, the data behind the byte does not count.
-    assert_eq!(board.sdo("22 03 10 00 00 FF FF FF"), ["5C0: 60 03 10 00 00 00 00 00"]);
-    assert_eq!(board.number(0x1003, 0), 0);
-    assert_eq!(board.upload(0x1003, 1), Err(NO_DATA));
-    board.report(BusEvent::Overrun);
-    board.pass_us(0);
-    assert_eq!(board.number(0x1003, 0), 1, "it continues");
-}
-
-#[test]
-fn the_error_behaviour_takes_0_1_and_2_and_refuses_the_rest() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for value in [1, 2, 0, 2] {
-        board.download(0x1029, 1, &[value]).unwrap();
-        assert_eq!(board.number(0x1029, 1), u32::from(value));
-    }
-    for value in 3..=u8::MAX {
-        assert_eq!(board.download(0x1029, 1, &[value]), Err(INVALID_VALUE));
-    }
-    assert_eq!(board.number(0x1029, 1), 2);
-    assert_eq!(board.sdo("22 29 10 01 01 FF FF FF"), ["5C0: 60 29 10 01 00 00 00 00"]);
-    assert_eq!(board.number(0x1029, 1), 1);
-}
-
-#[test]
 fn the_error_behaviour_is_stored_and_restored() {
     let mut board = NodeRig::with_node_id(0x40);
     board.download(0x1029, 1, &[2]).unwrap();
@@ -115,66 +77,6 @@ fn the_error_behaviour_is_stored_and_restored() {
     board.load(1).unwrap();
     board.power_cycle();
     assert_eq!(board.number(0x1029, 1), 0);
-}
-
-#[test]
-fn a_new_device_has_these_values() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for (index, sub_index, value) in [
-        (0x1000, 0, 0),
-        (0x1001, 0, 0),
-        (0x1003, 0, 0),
-        (0x1029, 0, 1),
-        (0x1029, 1, 0),
-        (0x1200, 0, 2),
-        (0x1200, 1, 0x640),
-        (0x1200, 2, 0x5C0),
-        (0x2000, 0, 9),
-        (0x2000, 8, 0),
-        (0x2000, 9, 0),
-    ] {
-        assert_eq!(board.number(index, sub_index), value, "{index:04X} sub {sub_index}");
-    }
-    assert_eq!(board.upload(0x1008, 0).unwrap(), b"Test board");
-    assert_eq!(board.upload(0x1009, 0).unwrap(), b"A");
-    assert_eq!(board.upload(0x100A, 0).unwrap(), b"1.2.3");
-}
-
-#[test]
-fn a_heartbeat_time_that_is_written_counts_from_the_write() {
-    let mut board = NodeRig::with_heartbeat(0x40, 100);
-    board.pass_ms(60);
-    board.download(0x1017, 0, &[50, 0]).unwrap();
-    assert_eq!(board.pass_us(49_999), []);
-    assert_eq!(board.pass_us(1), ["740: 7F"]);
-    assert_eq!(board.pass_ms(50), ["740: 7F"]);
-    board.download(0x1017, 0, &[0, 0]).unwrap();
-    assert_eq!(board.pass_ms(100_000), [], "0: no heartbeat");
-    board.download(0x1017, 0, &[10, 0]).unwrap();
-    assert_eq!(board.pass_ms(9), []);
-    assert_eq!(board.pass_ms(1), ["740: 7F"]);
-}
-
-#[test]
-fn the_identity_object_is_the_lss_address() {
-    let mut random = Random::from_environment();
-    for _ in 0..100 {
-        let address = Address {
-            vendor_id: random.u32(),
-            product_code: random.u32(),
-            revision_number: random.u32(),
-            serial_number: random.u32(),
-        };
-        let mut board = NodeRig::new(address, defaults(0x40), BoardFlash::blank(0), 0);
-        board.lss("04 01");
-        assert_eq!(board.number(0x1018, 0), 4);
-        for (inquire, sub_index) in [("5A", 1), ("5B", 2), ("5C", 3), ("5D", 4)] {
-            let by_sdo = board.upload(0x1018, sub_index).unwrap();
-            assert_eq!(by_sdo, board.lss(inquire).0[0].data()[1..5], "sub-index {sub_index}");
-        }
-        assert_eq!(board.number(0x1018, 1), address.vendor_id);
-        assert_eq!(board.number(0x1018, 4), address.serial_number);
-    }
 }
 
 #[test]

@@ -10,7 +10,6 @@ use testkit::{
     frames::SILENCE,
     node_rig::NodeRig,
     sdo::{Client, request},
-    sdo_messages::crc,
 };
 
 use crate::sdo_machine::{Machine, board, board_with_memory, bytes};
@@ -34,28 +33,6 @@ fn send(board: &mut NodeRig<Machine>, numbers: &[u8], data: &[u8], start: usize)
         answer = answers.0.first().map(testkit::frames::text).unwrap_or_default();
     }
     answer
-}
-
-#[test]
-fn a_domain_of_any_length_is_uploaded_in_blocks_of_any_size() {
-    for (len, block_size) in (1..300).map(|len| (len, (len % 127 + 1) as u8)) {
-        let mut board = board_with_memory(len);
-        assert_eq!(board.block_upload(0x2300, 2, block_size).unwrap(), bytes(len), "{len}");
-    }
-    let mut board = board_with_memory(10_000);
-    for block_size in 1..=127 {
-        assert_eq!(board.block_upload(0x2300, 2, block_size).unwrap(), bytes(10_000));
-    }
-}
-
-#[test]
-fn a_domain_of_any_length_is_downloaded_in_blocks() {
-    let mut board = board();
-    for len in (0..300).chain([7 * 127, 7 * 127 + 1, 10_000]) {
-        assert_eq!(board.block_download(0x2300, 1, &bytes(len)), Ok(()), "{len}");
-        assert_eq!(board.node.application().memory, bytes(len));
-    }
-    assert_eq!(board.node.application().aborted, 0);
 }
 
 #[test]
@@ -96,31 +73,6 @@ fn block_transfer_of_all_objects_is_there_where_one_may_have_more_than_32_bytes(
 }
 
 #[test]
-fn the_frames_of_a_block_upload_are_those_of_cia_301() {
-    let mut board = board_with_memory(15);
-    assert_eq!(board.sdo("A4 00 23 01 02 00"), ["5C0: C6 00 23 01 0F 00 00 00"]);
-    assert_eq!(board.sdo("A3"), ["5C0: 01 01 08 0F 16 1D 24 2B", "5C0: 02 32 39 40 47 4E 55 5C"]);
-    assert_eq!(board.sdo("A2 02 7F"), ["5C0: 81 63 00 00 00 00 00 00"]);
-    let [c0, c1] = crc(&bytes(15)).to_le_bytes();
-    let end = format!("5C0: D9 {c0:02X} {c1:02X} 00 00 00 00 00");
-    assert_eq!(board.sdo("A2 01 7F"), [end.as_str()], "six bytes are unused");
-    assert_eq!(board.sdo("A1"), SILENCE);
-    assert_eq!(board.sdo("A1"), ["5C0: 80 00 00 00 01 00 04 05"], "it is over");
-}
-
-#[test]
-fn the_frames_of_a_block_download_are_those_of_cia_301() {
-    let mut board = board();
-    assert_eq!(board.sdo("C6 00 23 01 0F 00 00 00"), ["5C0: A4 00 23 01 7F 00 00 00"]);
-    assert_eq!(board.sdo("01 01 08 0F 16 1D 24 2B"), SILENCE);
-    assert_eq!(board.sdo("02 32 39 40 47 4E 55 5C"), SILENCE);
-    assert_eq!(board.sdo("83 63"), ["5C0: A2 03 7F 00 00 00 00 00"]);
-    let [c0, c1] = crc(&bytes(15)).to_le_bytes();
-    assert_eq!(board.sdo(&format!("D9 {c0:02X} {c1:02X}")), ["5C0: A1 00 00 00 00 00 00 00"]);
-    assert_eq!(board.node.application().memory, bytes(15));
-}
-
-#[test]
 fn a_block_is_confirmed_once_however_long_its_client_pauses() {
     for (pause, after) in [(0, 1), (749, 31), (751, 31), (990, 31), (999, 1)] {
         let data = bytes(2_000);
@@ -140,16 +92,6 @@ fn a_block_is_confirmed_once_however_long_its_client_pauses() {
         assert_eq!(board.sdo("C9"), ["5C0: A1 00 00 00 00 00 00 00"]);
         assert!(board.node.application().memory == data, "{pause} ms after segment {after}");
     }
-}
-
-#[test]
-fn a_block_whose_last_segment_is_lost_ends_after_a_second() {
-    let mut board = board();
-    board.sdo("C6 00 23 01 C8");
-    assert_eq!(send(&mut board, &(1..=28).collect::<Vec<_>>(), &bytes(200), 0), "");
-    assert_eq!(board.pass_us(999_999), SILENCE);
-    assert_eq!(board.pass_us(1), ["5C0: 80 00 23 01 00 00 04 05"]);
-    assert_eq!(board.node.application().aborted, 1);
 }
 
 type Board = NodeRig<Machine>;
@@ -287,6 +229,16 @@ fn a_segment_is_made_when_no_frame_of_the_node_waits() {
     assert_eq!(board.see(BusEvent::NonePending), SILENCE, "until the client confirms");
     assert_eq!(board.lss("04 01"), SILENCE);
     assert_eq!(board.lss("5E"), ["5E 40"]);
+}
+
+#[test]
+fn a_client_that_misses_a_segment_may_say_so_before_the_end_of_the_block() {
+    let mut board = board_with_memory(100);
+    board.is_acknowledged = false;
+    board.sdo("A0 00 23 01 7F");
+    assert_eq!(board.sdo("A3"), ["5C0: 01 01 08 0F 16 1D 24 2B"]);
+    board.see(BusEvent::NonePending);
+    assert_eq!(board.sdo("A2 01 7F"), ["5C0: 01 32 39 40 47 4E 55 5C"], "the second one again");
 }
 
 #[test]
