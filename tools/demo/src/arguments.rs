@@ -7,19 +7,23 @@ use emulator::chip::Part;
 
 /// What `--help` prints.
 pub const HELP: &str = "\
-Show how a board is found, configured and power-cycled, frame by frame, on an emulated CAN bus
+Show how a board is found, configured and power-cycled, frame by frame, on an
+emulated CAN bus
 
-The boards are emulated STM32F4s with the release firmware, one of them blank. Fails if anything differs from
-CiA 305.
+The boards are emulated STM32F4s with the release firmware, one of them blank.
+Fails if anything differs from CiA 305.
 
 Usage: cargo demo [OPTIONS]
 
 Options:
-  --all             Show every frame of the Fastscan, not only the start and end of its parts
-  --chip <CHIP>     The chip on the boards; the README lists them all [default: stm32f407]
+  --all             Show every frame of the Fastscan, not only the start and end
+                    of its parts
+  --chip <CHIP>     The chip on the boards; the README lists them all
+                    [default: stm32f407]
   --svg <FILE>      Draw the switch of the bit rate as a timing diagram
   --candump <FILE>  Write the frames as `candump -l` does
-  --pcap <FILE>     Write the frames as a capture for Wireshark. To see CANopen: Decode As, CAN next level, or
+  --pcap <FILE>     Write the frames as a capture for Wireshark. To see CANopen:
+                    Decode As, CAN next level, or
                     `tshark -d can.subdissector,canopen`
   -h, --help        Print help
 ";
