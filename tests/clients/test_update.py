@@ -17,7 +17,7 @@ HEADER = 512
 def kit(tmp_path_factory):
     """The files of a release with a loader."""
     folder = tmp_path_factory.mktemp("kit")
-    command = ["cargo", "run", "--quiet", "--package", "xtask", "--", "release", "--update"]
+    command = ["cargo", "run", "--quiet", "--package", "xtask", "--", "dist"]
     subprocess.run([*command, "--out", folder, CHIP], cwd=WORKSPACE, check=True, timeout=BUILD_TIMEOUT)
     return folder / f"{CHIP}-update"
 
