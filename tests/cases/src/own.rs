@@ -1,6 +1,6 @@
 //! Own 01..15: rules of CiA 301 that no case of the certifier's tool looks at.
 
-mod errors;
+mod nmt;
 mod process_data;
 mod transfers;
 
@@ -21,7 +21,7 @@ use crate::{
 /// Our own cases, which the certifier's tool does not have.
 pub const OWN: &[Group] = &[
     Group { name: "Own", prepare: |bench| bench.restore(), cases: CASES },
-    errors::GROUP,
+    nmt::GROUP,
     transfers::GROUP,
     process_data::GROUP,
 ];

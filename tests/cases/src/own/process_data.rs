@@ -108,7 +108,7 @@ const CASES: &[Case] = &[
         Ok(())
     }),
     Case::new(
-        "An RPDO of the wrong length does not begin its event timer, nor a state the error",
+        "An RPDO is late only in NMT operational, and one of the wrong length does not count",
         |bench| {
             let output = Output::running(bench, 254)?;
             bench.needs(output.rpdo.event_timer())?;
