@@ -47,7 +47,7 @@ pub fn start(crystal: Crystal, rcc: &RCC) {
             start::give_up(RestartCause::NoCrystal, 0);
         }
         defmt::warn!(
-            "CRYSTAL_IS_EXTERNAL_CLOCK in device.rs is wrong, which delays each start by 100 ms: it is {=bool}",
+            "CRYSTAL_IS_EXTERNAL_CLOCK in device.rs is wrong, which delays each start by 100 ms: set it to {=bool}",
             !crystal.is_external_clock
         );
     }
