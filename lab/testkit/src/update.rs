@@ -123,6 +123,21 @@ pub fn factory(loader: &Image, file: &[u8]) -> Image {
     Image::from_segments(of_loader.chain([(run, file.to_vec())]).collect())
 }
 
+/// The same for a loader as it is linked, and a program without a signature, which a loader starts too.
+pub(crate) fn factory_of(
+    loader: &Image,
+    program: &Image,
+    device: &Device,
+    part: Part,
+    controller: u8,
+) -> anyhow::Result<Image> {
+    let chip = Chip::named(part.name()).context("no chip of a product")?;
+    let begins = program.segments().map(|(address, _)| address).min();
+    let is_signed = begins == Some(chip.run(true).address + HEADER_LEN as u32);
+    let file = file_in(chip.run(is_signed), program, device, part, controller)?;
+    Ok(factory(&in_flash(loader)?, &file))
+}
+
 /// The files with which loader and program of a product get onto boards, with their names.
 pub fn files(
     name: &str,

@@ -33,6 +33,17 @@ pub(super) const CHANGES: &[Change<'_>] = &[
         "| `cargo update-file` | writes loader, program and update file into `target/update`; `lss update` of the firmware's \
          repository installs it over the bus |",
     ),
+    (
+        "tests/board.rs",
+        "Product::build(&directory, env!(\"CARGO_PKG_NAME\"))",
+        "Product::build_with_loader(&directory, env!(\"CARGO_PKG_NAME\"), &DEVICE)",
+    ),
+    ("ci.sh", "cargo eds\n", "cargo eds\ncargo update-file\n"),
+    (
+        "ci.sh",
+        "$CARGO_TARGET_DIR/thumbv7em-none-eabihf/release/@name@",
+        "$product/target/update/factory.hex",
+    ),
     ("memory.x", "boards/stm32f4/image.x", "boards/stm32f4/program.x"),
     ("memory.x", "INCLUDE image.x", "INCLUDE program.x"),
     ("Cargo.toml", "canopen-stm32f4 = { ", "canopen-stm32f4 = { features = [\"update\"], "),
@@ -98,6 +109,11 @@ const CHANGES_IF_SIGNED: &[Change<'_>] = &[
         ".cargo/config.toml",
         "runner = \"probe-rs",
         "# SHA-512 in 3 KB instead of 26 KB.\nrustflags = [\"--cfg\", \"sha2_backend_soft=\\\"compact\\\"\"]\nrunner = \"probe-rs",
+    ),
+    (
+        "ci.sh",
+        "cargo update-file\n",
+        "cargo update-file --key \"${KEY:?is the file of the private key}\"\n",
     ),
     ("src/loader.rs", "mod pins;", "mod key;\nmod pins;"),
     ("src/loader.rs", "loader::{self, Place", "loader::{self, Author, Place"),
