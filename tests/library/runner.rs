@@ -345,7 +345,7 @@ fn there_is_room_for_every_tpdo_and_for_all_other_services() {
     board.take_sent();
     board.chip().is_bus_free = false;
     board.receive(&["000: 01 05", "080: "]);
-    board.runner.report(0xFF01, 0, [0; 5]);
+    board.runner.with(|node| node.report(0xFF01, 0, [0; 5]));
     board.receive(&["605: 40 00 10 00 00 00 00 00", "5E", "5A", "5B"]);
     board.pass_ms(100);
     board.free_bus();
@@ -728,17 +728,17 @@ fn what_an_application_asks_the_runner_for_is_done_at_once() {
     let mut board = operational("00");
     board.chip().is_bus_free = true;
     assert!(board.runner.is_idle() && !board.runner.is_bus_off());
-    assert!(board.runner.report(0x4310, 0x08, [1, 2, 3, 4, 5]));
+    assert!(board.runner.with(|node| node.report(0x4310, 0x08, [1, 2, 3, 4, 5])));
     board.runner.handle_transmitted();
-    assert!(!board.runner.report(0, 0x08, [0; 5]));
-    board.runner.end_report(0x4310);
-    board.runner.send_tpdo(1);
+    assert!(!board.runner.with(|node| node.report(0, 0x08, [0; 5])));
+    board.runner.with(|node| node.end_report(0x4310));
+    board.runner.with(|node| node.send_tpdo(1));
     assert_eq!(
         board.take_sent(),
         ["085: 10 43 09 01 02 03 04 05", "085: 00 00 00 00 00 00 00 00", "185: 00 00 00"]
     );
     board.chip().is_bus_free = false;
-    board.runner.send_tpdo(1);
+    board.runner.with(|node| node.send_tpdo(1));
     assert!(!board.runner.is_idle(), "a frame waits");
 }
 
@@ -765,7 +765,7 @@ fn a_controller_with_room_gets_only_what_is_more_urgent_than_the_queue() {
     assert_eq!(in_controller(&board), Some(0x585));
     board.receive(&["04 01", "5A", "605: 40 18 10 02 00 00 00 00"]);
     assert_eq!(in_controller(&board), None, "neither 7E4h nor 585h is more urgent than 585h");
-    board.runner.report(0x4310, 0, [0; 5]);
+    board.runner.with(|node| node.report(0x4310, 0, [0; 5]));
     assert_eq!(in_controller(&board), Some(0x085));
     board.runner.handle_transmitted();
     board.free_bus();
@@ -869,7 +869,7 @@ fn answers_that_a_program_holds_or_keeps_are_given_at_once() {
     board.receive(&["605: 21 50 1F 01 07 00 00 00", "605: 01 01 02 03 04 05 06 07"]);
     assert_eq!(board.take_sent(), ["585: 60 50 1F 01 00 00 00 00"]);
     board.runner.application(|loader| loader.set_full(false));
-    board.runner.resume();
+    board.runner.with(Node::resume);
     assert_eq!(board.take_sent(), SILENCE, "the program keeps the answer to the last part");
     let kept = board.runner.application(Loader::take_kept).expect("it has kept it");
     board.runner.answer(kept, Ok(()));
@@ -939,7 +939,7 @@ fn a_heartbeat_of_another_state_does_not_leave_and_one_of_the_new_state_does() {
 fn nothing_leaves_in_stopped_that_it_forbids() {
     let mut board = operational("00");
     board.receive(&["605: 40 00 10 00 00 00 00 00"]);
-    board.runner.report(0xFF00, 0, [0; 5]);
+    board.runner.with(|node| node.report(0xFF00, 0, [0; 5]));
     board.runner.application(|machine| machine.level = 7);
     board.receive(&["000: 02 05"]);
     board.free_bus();
@@ -958,7 +958,7 @@ fn an_emergency_waits_until_the_boot_up_itself_was_acknowledged() {
     board.pass_ms(1);
     // Another place becomes free.
     let boot_up = board.chip().place.take();
-    board.runner.node_mut().handle_fault(Fault::SettingsLost);
+    board.runner.with(|node| node.handle_fault(Fault::SettingsLost));
     board.receive(&["605: 40 00 10 00 00 00 00 00", "04 01", "5E"]);
     board.free_bus();
     board.pass_ms(10);
@@ -979,7 +979,7 @@ fn what_a_halt_of_the_core_has_dropped_is_made_again_by_each_service_that_still_
         (
             "emergency",
             |board| {
-                board.runner.report(0xFF00, 0, [0; 5]);
+                board.runner.with(|node| node.report(0xFF00, 0, [0; 5]));
             },
             Some("085: 00 FF 01 00 00 00 00 00"),
         ),

@@ -112,16 +112,18 @@ mod app {
     fn sample(mut cx: sample::Context) {
         let millivolts = cx.local.sensors.read();
         let relays = cx.shared.runner.lock(|runner| {
-            let step = runner.application(|thermo| thermo.step(millivolts));
-            for sensor in 0..4 {
-                match (step.new_faults >> sensor & 1, step.ended_faults >> sensor & 1) {
-                    // There is room for eight errors.
-                    (1, _) => _ = runner.report(SENSOR_FAULT + sensor, DEVICE_PROFILE, [0; 5]),
-                    (_, 1) => runner.end_report(SENSOR_FAULT + sensor),
-                    _ => {}
+            runner.with(|node| {
+                let step = node.application_mut().step(millivolts);
+                for sensor in 0..4 {
+                    match (step.new_faults >> sensor & 1, step.ended_faults >> sensor & 1) {
+                        // There is room for eight errors.
+                        (1, _) => _ = node.report(SENSOR_FAULT + sensor, DEVICE_PROFILE, [0; 5]),
+                        (_, 1) => node.end_report(SENSOR_FAULT + sensor),
+                        _ => {}
+                    }
                 }
-            }
-            step.relays
+                step.relays
+            })
         });
         cx.local.relays.set(relays);
     }

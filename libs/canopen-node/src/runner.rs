@@ -120,9 +120,17 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         &self.node
     }
 
-    /// The node, for a change. Call one of the functions below afterwards: they carry out what has become due.
-    pub const fn node_mut(&mut self) -> &mut Node<A> {
-        &mut self.node
+    /// Changes the node, and carries out what has become due: the application's values, an error of the application, a
+    /// TPDO to send.
+    pub fn with<R>(&mut self, change: impl FnOnce(&mut Node<A>) -> R) -> R {
+        let result = change(&mut self.node);
+        self.finish();
+        result
+    }
+
+    /// Reads or changes the application's values.
+    pub fn application<R>(&mut self, access: impl FnOnce(&mut A) -> R) -> R {
+        self.with(|node| access(node.application_mut()))
     }
 
     /// Whether every frame of the node has been sent and acknowledged, or dropped.
@@ -133,12 +141,6 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     /// Whether the controller was bus-off at the last look.
     pub fn is_bus_off(&self) -> bool {
         self.bus_state == BusState::BusOff
-    }
-
-    /// Looks again whether an SDO answer that was held back can be given, as [`Node::resume`] does.
-    pub fn resume(&mut self) {
-        self.node.resume();
-        self.finish();
     }
 
     /// Answers an SDO download, as [`Node::answer`] does.
@@ -152,32 +154,6 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
     /// The controller and the rest of the board, for a port that waits for them.
     pub const fn parts_mut(&mut self) -> (&mut C, &mut S) {
         (&mut self.bus.can, &mut self.system)
-    }
-
-    /// Reads or changes the application's values.
-    pub fn application<R>(&mut self, access: impl FnOnce(&mut A) -> R) -> R {
-        let result = access(self.node.application_mut());
-        self.finish();
-        result
-    }
-
-    /// Reports an error of the application, as [`Node::report`] does.
-    pub fn report(&mut self, code: u16, register: u8, information: [u8; 5]) -> bool {
-        let has_room = self.node.report(code, register, information);
-        self.finish();
-        has_room
-    }
-
-    /// Ends an error of the application, as [`Node::end_report`] does.
-    pub fn end_report(&mut self, code: u16) {
-        self.node.end_report(code);
-        self.finish();
-    }
-
-    /// Sends a TPDO though no value has changed, as [`Node::send_tpdo`] does.
-    pub fn send_tpdo(&mut self, number: u8) {
-        self.node.send_tpdo(number);
-        self.finish();
     }
 
     /// Handles received frames.

@@ -27,9 +27,9 @@ pub fn drive() {
     black_box(runner.take_store(any(&[]), any(&mut [])));
     runner.handle_stored(any(Err(StoreError::MediumAccess)));
     runner.application(|objects| _ = black_box(objects));
-    runner.report(any(0), any(0), any([0; 5]));
-    runner.end_report(any(0));
-    runner.send_tpdo(any(0));
+    runner.with(|node| node.report(any(0), any(0), any([0; 5])));
+    runner.with(|node| node.end_report(any(0)));
+    runner.with(|node| node.send_tpdo(any(0)));
 }
 
 struct Board;

@@ -285,16 +285,18 @@ impl Work {
         Task::IDLE.answer();
         let next = runner.lock(Self::next);
         if next.is_holding {
-            runner.lock(Runner::resume);
+            runner.lock(|runner| runner.with(Node::resume));
         }
         if let Some(owed) = next.owed {
             runner.lock(|runner| runner.answer(owed, Ok(())));
         }
         if next.is_without_program != self.has_reported {
             self.has_reported = next.is_without_program;
-            runner.lock(|runner| match next.is_without_program {
-                true => _ = runner.report(USER_SOFTWARE, 0, [0; 5]),
-                false => runner.end_report(USER_SOFTWARE),
+            runner.lock(|runner| {
+                runner.with(|node| match next.is_without_program {
+                    true => _ = node.report(USER_SOFTWARE, 0, [0; 5]),
+                    false => node.end_report(USER_SOFTWARE),
+                });
             });
         }
         #[cfg(feature = "signed")]
@@ -329,7 +331,7 @@ impl Work {
                 }
                 let is_signed = signature::is_signed(&header, self.key);
                 runner
-                    .lock(|runner| runner.node_mut().application_mut().updater.verified(is_signed))
+                    .lock(|runner| runner.application(|loader| loader.updater.verified(is_signed)))
             }
             Action::Hash { words } => {
                 let mut hash = Sha256::new();
@@ -341,7 +343,7 @@ impl Work {
                     Task::IDLE.answer();
                 }
                 let hash = hash.finalize().into();
-                runner.lock(|runner| runner.node_mut().application_mut().updater.hashed(&hash))
+                runner.lock(|runner| runner.application(|loader| loader.updater.hashed(&hash)))
             }
             other => Some(other),
         }
@@ -351,19 +353,20 @@ impl Work {
     fn next<C: Peripheral>(runner: &mut Runner<C>) -> Next {
         runner.refuse_store(StoreError::MediumAccess);
         let (is_idle, state) = (runner.is_idle(), runner.node().nmt_state());
-        let loader = runner.node_mut().application_mut();
-        if loader.is_answering && is_idle {
-            loader.is_answering = false;
-            loader.updater.answered(now());
-        }
-        let action = loader.updater.poll(now());
-        Next {
-            action,
-            is_busy: action.is_some() || loader.updater.is_busy(),
-            is_holding: loader.held_since.is_some(),
-            is_without_program: loader.updater.is_without_program(),
-            owed: loader.owed.take_if(|_| state == nmt::State::PreOperational),
-        }
+        runner.application(|loader| {
+            if loader.is_answering && is_idle {
+                loader.is_answering = false;
+                loader.updater.answered(now());
+            }
+            let action = loader.updater.poll(now());
+            Next {
+                action,
+                is_busy: action.is_some() || loader.updater.is_busy(),
+                is_holding: loader.held_since.is_some(),
+                is_without_program: loader.updater.is_without_program(),
+                owed: loader.owed.take_if(|_| state == nmt::State::PreOperational),
+            }
+        })
     }
 }
 
@@ -380,7 +383,7 @@ struct Next {
 fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
     match action {
         Action::Answer(outcome) => {
-            if let Some(answer) = runner.node_mut().application_mut().answer.take() {
+            if let Some(answer) = runner.application(|loader| loader.answer.take()) {
                 runner.answer(answer, outcome.map_err(code));
             }
         }

@@ -39,16 +39,18 @@ impl Steps {
         let (request, wanted) = runner.lock(|runner| {
             let is_well = watchdog::all_have_answered() && !runner.is_bus_off();
             let is_idle = runner.is_idle();
-            let update = update(runner.node_mut().application_mut());
-            let Some(program) = &mut update.program else { return (None, None) };
-            if update.is_answering && is_idle {
-                update.is_answering = false;
-                program.answered(now());
-            }
-            (
-                update.request.take_if(|request| !matches!(request, Request::Reset) || is_idle),
-                program.poll(is_well, now()),
-            )
+            runner.application(|application| {
+                let update = update(application);
+                let Some(program) = &mut update.program else { return (None, None) };
+                if update.is_answering && is_idle {
+                    update.is_answering = false;
+                    program.answered(now());
+                }
+                (
+                    update.request.take_if(|request| !matches!(request, Request::Reset) || is_idle),
+                    program.poll(is_well, now()),
+                )
+            })
         });
         match request {
             Some(Request::Stop) => runner.lock(|runner| {
@@ -81,11 +83,13 @@ impl Steps {
         runner: &mut impl Mutex<T = Runner<C, A>>,
         update: fn(&mut A) -> &mut Update,
     ) -> Result<(), program_update::Abort> {
-        let copy =
-            runner.lock(|runner| update(runner.node_mut().application_mut()).program.clone());
+        let copy = runner
+            .lock(|runner| runner.application(|application| update(application).program.clone()));
         let Some(mut program) = copy else { return Ok(()) };
         let outcome = program.confirm(&mut self.areas);
-        runner.lock(|runner| update(runner.node_mut().application_mut()).program = Some(program));
+        runner.lock(|runner| {
+            runner.application(|application| update(application).program = Some(program));
+        });
         outcome
     }
 }
