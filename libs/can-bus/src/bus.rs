@@ -38,8 +38,10 @@ const ECHOES: usize = 16;
 const PAIRS: usize = 4;
 /// The least bits of a frame without data.
 const FRAME_BITS: u32 = 44;
-/// The longest latency of an adapter that does not gather frames, so that the time between them counts.
+/// The longest latency of an adapter, and the shortest time of a frame, with which the frames of two boards are not gathered
+/// again and again.
 const PROMPT: Duration = Duration::from_millis(4);
+const SLOW_FRAME: Duration = Duration::from_micros(800);
 /// The number of unasked frames that are kept.
 const KEPT: usize = 1000;
 
@@ -59,10 +61,7 @@ pub struct Bus {
     /// The last frames sent that have not come back, and whether one has: the adapter may echo what it sends.
     sent: VecDeque<Frame>,
     has_echo: bool,
-    /// The number of pairs of equal frames so far, `None` if a frame came alone; and the last frame, if it may be the first
-    /// of a pair.
-    pairs: Option<usize>,
-    first: Option<Received>,
+    pairs: Pairs,
     /// Frames that nodes sent, the oldest first.
     unasked: VecDeque<Received>,
     /// Frames were dropped that nodes sent of themselves: who seems to be silent may have answered.
@@ -94,6 +93,50 @@ pub enum Masters {
     /// Those of LSS, as soon as a Ctrl-C would end it.
     LssAsInterrupt,
     None,
+}
+
+/// Equal frames one behind the other, faster than a bus is. Two boards with one LSS address send such, too, and an adapter that gathers
+/// frames delivers them so: that is excluded by the frames of two nodes, or by time.
+#[derive(Default)]
+struct Pairs {
+    /// The last frame, if it may be the first of a pair.
+    first: Option<Received>,
+    count: usize,
+    nodes: BTreeSet<u8>,
+    has_single: bool,
+    /// A second one came so late that it may have been on the bus.
+    has_pause: bool,
+    is_doubled: bool,
+}
+
+impl Pairs {
+    /// Notes a frame that takes `span` on the bus; returns whether it is the second of an adapter that doubles.
+    fn note(&mut self, received: &Received, span: Duration, is_prompt: bool) -> bool {
+        let Some(first) = self.first.replace(*received) else { return false };
+        let Received { frame, at, here } = received;
+        let pause = here.duration_since(first.here).max(at.saturating_sub(first.at));
+        let was_doubled = self.is_doubled;
+        let is_second = first.frame == *frame && (was_doubled || pause < span + PROMPT);
+        let node = match (first.frame.cob_id(), first.frame.data()) {
+            (cob_id @ 0x081..=0x77F, _) => (cob_id & 0x7F) as u8,
+            // Those of one board, unlike what all answer.
+            (lss::RESPONSE_COB_ID, [0x11 | 0x17 | 0x44, ..]) => 0,
+            _ => 0x80,
+        };
+        if is_second {
+            self.first = None;
+        }
+        if node < 0x80 {
+            self.has_single |= !is_second;
+            self.has_pause |= pause >= span;
+            self.count += 1;
+            self.nodes.extend(Some(node).filter(|node| *node > 0));
+            let is_quick = is_prompt && span >= SLOW_FRAME && !self.has_pause;
+            let is_proven = self.nodes.len() > 1 || is_quick;
+            self.is_doubled |= !self.has_single && self.count >= PAIRS && is_proven;
+        }
+        is_second && was_doubled
+    }
 }
 
 /// How long a procedure waits for an answer that may fail to come.
@@ -173,8 +216,7 @@ impl Bus {
             pace: Pace::Patient,
             sent: VecDeque::new(),
             has_echo: false,
-            pairs: Some(0),
-            first: None,
+            pairs: Pairs::default(),
             unasked: VecDeque::new(),
             has_dropped: false,
             heard: BTreeMap::new(),
@@ -281,7 +323,7 @@ impl Bus {
 
     /// Whether the adapter is known to forward each frame twice; the second ones are dropped from then on.
     pub fn is_doubled(&self) -> bool {
-        self.pairs.is_some_and(|pairs| pairs >= PAIRS)
+        self.pairs.is_doubled
     }
 
     /// The adapter and its version, for a person.
@@ -514,24 +556,11 @@ impl Bus {
 
     /// Whether a frame is neither an echo of the adapter nor the second of two that it makes of one.
     fn is_new(&mut self, received: &Received) -> bool {
-        let Received { frame, at, here } = received;
-        let span = bits(FRAME_BITS + 8 * frame.data().len() as u32, self.rate);
-        let first = self.first.take().filter(|_| self.latency() <= PROMPT);
-        let is_second = first.is_some_and(|first| {
-            let pause = here.duration_since(first.here).max(at.saturating_sub(first.at));
-            first.frame == *frame && pause < span
-        });
-        let was_doubled = self.is_doubled();
-        self.pairs = match (self.pairs, first) {
-            (Some(pairs), Some(_)) if is_second => Some(pairs + 1),
-            (Some(_), Some(_)) if !was_doubled => None,
-            (pairs, _) => pairs,
-        };
-        self.first = Some(*received).filter(|_| !is_second);
-        if is_second && was_doubled {
+        let span = bits(FRAME_BITS + 8 * received.frame.data().len() as u32, self.rate);
+        if self.pairs.note(received, span, self.latency() <= PROMPT) {
             return false;
         }
-        let echoed = self.sent.iter().rposition(|sent| sent == frame);
+        let echoed = self.sent.iter().rposition(|sent| *sent == received.frame);
         self.has_echo |= echoed.and_then(|at| self.sent.remove(at)).is_some();
         echoed.is_none()
     }

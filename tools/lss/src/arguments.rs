@@ -90,6 +90,13 @@ pub struct Apply {
     pub write_dcf: Option<PathBuf>,
 }
 
+/// A node, or all.
+#[derive(clap::Args, Clone, Copy)]
+pub struct OneOrAll {
+    #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
+    pub node: Option<NodeId>,
+}
+
 /// An object of a node.
 #[derive(clap::Args)]
 pub struct Object {
@@ -165,20 +172,11 @@ pub enum Command {
     #[command(verbatim_doc_comment)]
     Update(Update),
     /// Start a node, or all: NMT state operational
-    Start {
-        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
-        node: Option<NodeId>,
-    },
+    Start(OneOrAll),
     /// Stop a node, or all: NMT state stopped, in which they answer to LSS but not to SDO
-    Stop {
-        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
-        node: Option<NodeId>,
-    },
+    Stop(OneOrAll),
     /// Reset a node, or all
-    Reset {
-        #[arg(value_name = "NODE-ID", value_parser = address::node_id)]
-        node: Option<NodeId>,
-    },
+    Reset(OneOrAll),
     /// Read a value of a node
     Read(Object),
     /// Write a value of a node, which it has until its next reset
@@ -250,9 +248,9 @@ impl Command {
             Self::Apply(_) => "apply",
             Self::SetRate { rate, .. } => return format!("lss set-rate {}", rate.kbit_per_s()),
             Self::Update(_) => "update",
-            Self::Start { .. } => "start",
-            Self::Stop { .. } => "stop",
-            Self::Reset { .. } => "reset",
+            Self::Start(_) => "start",
+            Self::Stop(_) => "stop",
+            Self::Reset(_) => "reset",
             Self::Read(_) => "read",
             Self::Write { .. } => "write",
             Self::Adapters => "adapters",

@@ -9,7 +9,7 @@ use can_bus::{
 
 use crate::{
     arguments::{Arguments, Command},
-    commands::{self, Nmt},
+    commands,
     failure::Failure,
     network::board,
     picture::{self, Caption},
@@ -95,9 +95,9 @@ impl Session<'_> {
         match &arguments.command {
             Command::Find { .. } | Command::Apply(_) => Ok(()),
             Command::Adapters | Command::Completion { .. } => Ok(()),
-            Command::Start { node } => commands::nmt(self, Nmt::Start, *node),
-            Command::Stop { node } => commands::nmt(self, Nmt::Stop, *node),
-            Command::Reset { node } => commands::nmt(self, Nmt::Reset, *node),
+            Command::Start(which) => commands::nmt(self, commands::START, which.node),
+            Command::Stop(which) => commands::nmt(self, commands::STOP, which.node),
+            Command::Reset(which) => commands::nmt(self, commands::RESET, which.node),
             Command::Read(object) => commands::read(self, object),
             Command::Write { object, value } => commands::write(self, object, value),
             Command::List { watch: true, json, .. } => commands::watch(self, *json),

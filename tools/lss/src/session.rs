@@ -120,8 +120,8 @@ impl<'a> Session<'a> {
         {
             self.twice.push(number);
             self.progress.note(&format!(
-                "serial number {number:08X}: a second answer to one question. Two boards have this LSS address, or one \
-                 answers twice"
+                "serial number {number:08X}: a second answer to one question. Two boards have this LSS address, or \
+                 the board or the adapter repeats it"
             ));
         }
         let slowest = self.bus.slowest_answer().unwrap_or_default();

@@ -43,6 +43,8 @@ pub struct Firmware {
     pub echoes: bool,
     /// It forwards each frame twice.
     pub doubles: bool,
+    /// It sends its lines once in a latency.
+    pub gathers: bool,
 }
 
 impl Firmware {
@@ -60,6 +62,7 @@ impl Firmware {
         latency_ms: 1,
         echoes: false,
         doubles: false,
+        gathers: false,
     };
     /// CANable 1.x and 2.0 with the firmware `slcan`: only `V` is answered.
     pub const CANABLE: Self = Self {
@@ -130,7 +133,12 @@ impl<A: Application + Clone + 'static> BusAdapter<A> {
 
 impl<A: Application + Clone> Line<A> {
     fn answer(&mut self, line: &[u8]) {
-        let at = self.adapter.bus().now() + 1_000 * self.firmware.latency_ms;
+        let latency_us = 1_000 * self.firmware.latency_ms;
+        let now = self.adapter.bus().now();
+        let at = match self.firmware.gathers {
+            true => (now / latency_us + 1) * latency_us,
+            false => now + latency_us,
+        };
         self.output.push_back((at, line.to_vec()));
     }
 

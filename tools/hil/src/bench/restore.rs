@@ -151,11 +151,11 @@ impl Bench {
             let Original { node_id, bit_rate, heartbeat_ms, was_operational } = board.original;
             if let BitRateSetting::Fixed(rate) = bit_rate
                 && self.bus.fixed_rate().is_none()
+                && Stop::without_rate(self.bus.open(rate))?.is_none()
             {
-                if Stop::without_rate(self.bus.open(rate))?.is_none() {
-                    faults.push(format!("{board} has stored {rate} again, but the adapter lacks it: it was not seen there"));
-                    continue;
-                }
+                let words = "but the adapter lacks it: it was not seen there";
+                faults.push(format!("{board} has stored {rate} again, {words}"));
+                continue;
             }
             let id = self.reached_node_id(board.address)?;
             self.bus.request(Request::SwitchToWaiting)?;

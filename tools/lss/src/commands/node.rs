@@ -20,23 +20,19 @@ use crate::{
 /// The time in which a node tells its state: a boot-up, or two heartbeats once a second.
 const TOLD: Duration = Duration::from_millis(2200);
 
-/// What an NMT command brings about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Nmt {
-    Start,
-    Stop,
-    Reset,
-}
+/// NMT commands, and the state that each leads to; a reset leads to a boot-up message.
+pub const START: (u8, Option<State>) = (1, Some(State::Operational));
+pub const STOP: (u8, Option<State>) = (2, Some(State::Stopped));
+pub const RESET: (u8, Option<State>) = (129, None);
 
 /// Sends the NMT command to a node, or to all, and prints in which state they are then, as far as they tell it.
-pub fn nmt(session: &mut Session<'_>, command: Nmt, node: Option<NodeId>) -> Result<(), Failure> {
-    let (number, wanted) = match command {
-        Nmt::Start => (1, Some(State::Operational as u8)),
-        Nmt::Stop => (2, Some(State::Stopped as u8)),
-        Nmt::Reset => (129, None),
-    };
+pub fn nmt(
+    session: &mut Session<'_>,
+    (command, wanted): (u8, Option<State>),
+    node: Option<NodeId>,
+) -> Result<(), Failure> {
     session.bus.take_unasked();
-    session.bus.nmt(number, node.map_or(0, NodeId::get))?;
+    session.bus.nmt(command, node.map_or(0, NodeId::get))?;
     let mut told = BTreeMap::new();
     let mut booted = Vec::new();
     let is_it = |id: u8| node.is_none_or(|node| node.get() == id);
@@ -49,7 +45,7 @@ pub fn nmt(session: &mut Session<'_>, command: Nmt, node: Option<NodeId>) -> Res
     }
     told.retain(|id, _| is_it(*id));
     let is_wrong = |(id, state): &(&u8, &u8)| match wanted {
-        Some(wanted) => **state != wanted,
+        Some(wanted) => **state != wanted as u8,
         None => !booted.contains(id),
     };
     let wrong: Vec<String> = told.iter().filter(is_wrong).map(|(id, _)| id.to_string()).collect();
@@ -57,8 +53,8 @@ pub fn nmt(session: &mut Session<'_>, command: Nmt, node: Option<NodeId>) -> Res
         let boot = if booted.contains(id) && *state != 0 { "boot-up, " } else { "" };
         writeln!(session.out, "node {id}  {boot}{}", rows::state(*state))?;
     }
-    match (told.is_empty(), command) {
-        (true, Nmt::Reset) => Err(Failure::NoAnswer("no boot-up message after the reset".into())),
+    match (told.is_empty(), wanted) {
+        (true, None) => Err(Failure::NoAnswer("no boot-up message after the reset".into())),
         (true, _) => Ok(writeln!(session.out, "sent; no heartbeat tells the state since then")?),
         _ if wrong.is_empty() => Ok(()),
         _ => Err(Failure::Refused(format!("node {} has not obeyed", wrong.join(", ")))),

@@ -119,8 +119,7 @@ fn withdraw(session: &mut Session<'_>, gift: Gift) -> Result<Option<Failure>, Fa
         Some(id) => other(&nodes::serial_numbers(session, id.get())?, &address),
         None => None,
     };
-    session.carry_out(SelectAlone::new(address))?;
-    let has_it = session.carry_out(InquireNodeId)? == to;
+    let has_it = select(session, address)? == to;
     if has_it && other.is_none() {
         return Ok(None);
     }
@@ -242,10 +241,15 @@ fn boots_up(
     }
 }
 
+/// Brings a board to LSS configuration state, and all others to LSS waiting state; returns its node-ID.
+pub fn select(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId>, Failure> {
+    session.carry_out(SelectAlone::new(address))?;
+    session.carry_out(InquireNodeId)
+}
+
 /// The node-ID that a board has.
 fn inquired(session: &mut Session<'_>, address: &Address) -> Result<Option<NodeId>, Failure> {
-    session.carry_out(SelectAlone::new(*address))?;
-    let id = session.carry_out(InquireNodeId)?;
+    let id = select(session, *address)?;
     session.bus.request(Request::SwitchToWaiting)?;
     Ok(id)
 }

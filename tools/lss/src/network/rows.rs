@@ -2,10 +2,10 @@
 
 use can_bus::sdo;
 use canopen_node::{NodeId, lss::Address, nmt::State};
-use lss_master::{InquireNodeId, SelectAlone};
 use serde::{Serialize, Serializer};
 
 use super::{
+    board,
     nodes::{self, Nodes},
     rate::HEARTBEAT,
     scan,
@@ -128,14 +128,13 @@ pub fn blank(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Ve
 
 /// The node-ID of a board that Fastscan has found. Frames may be lost.
 fn inquired(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId>, Failure> {
-    let mut attempts = 0;
-    loop {
-        let selected = session.carry_out(SelectAlone::new(address));
-        match selected.and_then(|()| session.carry_out(InquireNodeId)) {
-            Err(Failure::NoAnswer(_)) if attempts < 2 => attempts += 1,
-            outcome => return outcome,
+    let mut outcome = board::select(session, address);
+    for _ in 0..2 {
+        if let Err(Failure::NoAnswer(_)) = outcome {
+            outcome = board::select(session, address);
         }
     }
+    outcome
 }
 
 /// The NMT state that a node has reported.

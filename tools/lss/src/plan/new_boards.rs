@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use canopen_node::{NodeId, lss::Address};
-use lss_master::{Fastscan, Find, Identify, InquireNodeId, SelectAlone};
+use lss_master::{Fastscan, Find, Identify, SelectAlone};
 
 use super::{
     node_ids::{Fate, NodeIds},
@@ -12,7 +12,7 @@ use super::{
 use crate::{
     address::{self, counted},
     failure::Failure,
-    network::{nodes, rows, scan},
+    network::{board, nodes, rows, scan},
     session::Session,
 };
 
@@ -112,8 +112,7 @@ impl Work {
         session: &mut Session<'_>,
         address: Address,
     ) -> Result<Option<Option<NodeId>>, Failure> {
-        let selected = session.carry_out(SelectAlone::new(address));
-        match selected.and_then(|()| session.carry_out(InquireNodeId)) {
+        match board::select(session, address) {
             Ok(id) => Ok(Some(id)),
             Err(failure) => {
                 let text = address::text(&address);

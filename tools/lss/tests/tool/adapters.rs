@@ -159,21 +159,42 @@ fn nobody_is_absent_if_messages_of_nodes_were_dropped() {
 
 #[test]
 fn an_adapter_that_repeats_frames_is_named_and_neither_another_master_nor_another_board() {
-    for (firmware, words) in [
-        (Firmware::ECHO, "the adapter echoes"),
-        (Firmware::DOUBLE, "each frame comes twice, faster than a bus is: the adapter"),
+    const LATE: Firmware = Firmware { latency_ms: 16, ..Firmware::DOUBLE };
+    let echoes = "the adapter echoes";
+    let doubles = "each frame comes twice, faster than a bus is: the adapter";
+    for (firmware, words, rate, boards) in [
+        (Firmware::ECHO, echoes, RATE, &[0xFF][..]),
+        (Firmware::ECHO, echoes, RATE, &[0xFF, 5, 0xFF]),
+        (Firmware::DOUBLE, doubles, RATE, &[5]),
+        (Firmware::DOUBLE, doubles, RATE, &[0xFF, 5, 0xFF]),
+        (Firmware::DOUBLE, doubles, BitRate::Kbit1000, &[5, 6]),
+        (LATE, doubles, RATE, &[5, 6]),
     ] {
-        for boards in [&[0xFF][..], &[5], &[0xFF, 5, 0xFF]] {
-            for command in ["list", "assign", "set-rate 250"] {
-                let outcome = lss(&Wire::new(RATE, boards), firmware, command);
-                assert_eq!(
-                    (outcome.code, &*outcome.error),
-                    (0, ""),
-                    "{words} {boards:?} {command}"
-                );
-                assert_eq!((outcome.remarks.len(), outcome.twice.len()), (1, 0), "{command}");
-                assert!(outcome.remarks[0].contains(words), "{:?}", outcome.remarks);
-            }
+        for command in ["list", "assign", "set-rate 250"] {
+            let wire = Wire::new(rate, boards);
+            let command = format!("{command} --bit-rate {}", rate.kbit_per_s());
+            let outcome = lss(&wire, firmware, &command);
+            assert_eq!((outcome.code, &*outcome.error), (0, ""), "{words} {boards:?} {command}");
+            assert_eq!((outcome.remarks.len(), outcome.twice.len()), (1, 0), "{command}");
+            assert!(outcome.remarks[0].contains(words), "{:?}", outcome.remarks);
+        }
+    }
+    // Two boards with one LSS address do the same, if the adapter gathers their frames.
+    let listed = lss(&Wire::new(RATE, &[5]), LATE, "list");
+    assert_eq!((listed.code, listed.remarks.len()), (1, 0));
+    assert!(listed.error.contains("If there is only one, the adapter forwards each frame twice"));
+}
+
+#[test]
+fn answers_of_two_boards_that_an_adapter_gathers_are_no_repetition() {
+    for latency_ms in [2, 3, 4] {
+        let gathers = Firmware { latency_ms, gathers: true, ..Firmware::CANUSB };
+        let wire = Wire::new(RATE, &[0xFF, 0xFF]);
+        // They never answer at the same moment.
+        wire.bus().slaves[1].habits.answer_us = 300..301;
+        for command in ["list", "assign", "list"] {
+            let outcome = lss(&wire, gathers, command);
+            assert_eq!((outcome.code, outcome.remarks), (0, vec![]), "{}", outcome.error);
         }
     }
 }

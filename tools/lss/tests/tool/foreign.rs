@@ -8,7 +8,7 @@ use testkit::{
     flash::BoardFlash,
     node_rig::{ADDRESS, NodeRig, device},
     random::Random,
-    slave_bus::{BusAdapter, Habits, Slave, SlaveBus},
+    slave_bus::{BusAdapter, Firmware, Habits, Slave, SlaveBus},
 };
 
 use crate::emulated::{Outcome, run, text};
@@ -243,6 +243,11 @@ fn two_boards_with_one_lss_address_are_no_success() {
         assert_eq!(outcome.code, 1, "{command}");
         assert!(outcome.error.contains(&words), "{command}: {}", outcome.error);
     }
+    // An adapter that delivers both answers at one moment is not taken for one that doubles frames.
+    let gathers = Firmware { gathers: true, ..Firmware::FTDI };
+    let adapter = slaves.adapter.with_firmware(gathers).expect("it is an adapter");
+    let outcome = run(adapter, &Arc::default(), "list", |_| ());
+    assert!(outcome.error.contains(&words), "{}", outcome.error);
 }
 
 #[test]
