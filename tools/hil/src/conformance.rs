@@ -20,10 +20,15 @@ use canopen_node::{
     lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID},
 };
 
-use crate::adapter::{Mode, Place};
+use crate::{
+    adapter::{Mode, Place},
+    report::show,
+};
 
 /// The wait for the boot-ups of all nodes.
 const BOOT: Duration = ms(3_000);
+/// The column of the purpose of a case.
+const PURPOSE: usize = 38;
 /// How late this computer may see a frame, besides the adapter's latency.
 const PAUSE: Duration = ms(20);
 
@@ -129,9 +134,9 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     for (groups, suffix) in chapters.iter().filter(has_case) {
         let mut report = Report::new(format!("{name}{suffix}"));
         ::conformance::run(&mut bench, groups, test.cases, &mut report, |finding| {
-            crate::report::show(&finding.line());
+            show(&finding.line(), PURPOSE);
         })?;
-        crate::report::show(&format!("\n{}", report.summary()));
+        show(&format!("\n{}", report.summary()), 0);
         reports.push(report);
     }
     ensure!(!reports.is_empty(), "no case begins with {}", test.cases.join(" or "));

@@ -189,7 +189,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             let outcome = check(&mut bench, &arguments.session);
             bench.report.stopped = outcome.err().map(|stop| stop.to_string());
             if let Some(reason) = &bench.report.stopped {
-                report::show(&format!("  STOP    {reason}"));
+                report::show(&format!("  STOP    {reason}"), report::INDENT);
             }
             bench.restore();
             bench.report
@@ -199,7 +199,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             report
         }
     };
-    report::show(&report.summary());
+    report::show(&report.summary(), report::INDENT);
     if let Some(path) = &arguments.report {
         let files =
             report.write(path).with_context(|| format!("cannot write {}", path.display()))?;

@@ -75,13 +75,13 @@ pub enum Left {
 }
 
 /// The column of the text in a line.
-const INDENT: usize = 10;
+pub const INDENT: usize = 10;
 
-/// Prints lines, of which those that are too long for a terminal are wrapped there.
-pub fn show(text: &str) {
+/// Prints lines, of which those that are too long for a terminal are wrapped there to a column.
+pub fn show(text: &str, column: usize) {
     for line in text.lines() {
         match io::stdout().is_terminal() {
-            true => println!("{}", wrapped(line, INDENT)),
+            true => println!("{}", wrapped(line, column)),
             false => println!("{line}"),
         }
     }
@@ -122,18 +122,18 @@ impl Report {
 
     /// Shows what is going on.
     pub fn progress(&self, what: &str) {
-        show(&format!("  ...     {what}"));
+        show(&format!("  ...     {what}"), INDENT);
     }
 
     /// Adds a sentence about the bench.
     pub fn bench(&mut self, sentence: &str) {
-        show(&format!("          {sentence}"));
+        show(&format!("          {sentence}"), INDENT);
         self.bench.push(sentence.to_owned());
     }
 
     /// Adds a line about a board.
     pub fn board(&mut self, line: String) {
-        show(&format!("          {line}"));
+        show(&format!("          {line}"), INDENT);
         self.boards.push(line);
     }
 
@@ -189,7 +189,7 @@ impl Report {
     fn add(&mut self, what: String, outcome: Outcome, seen: String, expected: Option<String>) {
         let rule = self.rule.1.take().unwrap_or(self.rule.0);
         let check = Check { session: self.session, what, outcome, seen, expected, rule };
-        show(&text::line(&check));
+        show(&text::line(&check), INDENT);
         self.checks.push(check);
     }
 
