@@ -36,6 +36,8 @@ pub struct Finding {
 pub struct Report {
     /// What was tested, in one line.
     pub device: String,
+    /// What a reader has to know to repeat the run: names and values.
+    pub head: Vec<(&'static str, String)>,
     pub findings: Vec<Finding>,
 }
 
@@ -88,7 +90,7 @@ pub fn text(frame: &Frame) -> String {
 
 impl Report {
     pub fn new(device: impl Into<String>) -> Self {
-        Self { device: device.into(), findings: Vec::new() }
+        Self { device: device.into(), head: Vec::new(), findings: Vec::new() }
     }
 
     fn count(&self, is_it: impl Fn(&Outcome) -> bool) -> usize {
@@ -138,9 +140,12 @@ pub fn html(reports: &[Report]) -> String {
     );
     for report in reports {
         let (device, counts) = (escape(&report.device), report.counts());
+        let head = report.head.iter();
+        let head = head.map(|(name, value)| format!("<tr><th>{name}<td>{}</tr>\n", escape(value)));
         page += &format!(
-            "<h2>{device}</h2>\n<p>{counts}. A click on a case shows its frames.\n<table>\n\
-             <tr><th>case<th>outcome<th>time<th>purpose</tr>\n"
+            "<h2>{device}</h2>\n<table>\n{}</table>\n<p>{counts}. A click on a case shows its frames.\n<table>\n\
+             <tr><th>case<th>outcome<th>time<th>purpose</tr>\n",
+            head.collect::<String>()
         );
         for finding in &report.findings {
             page += &row(finding);
@@ -182,6 +187,14 @@ pub fn junit(reports: &[Report]) -> String {
         let name = escape(&report.device);
         let counts = format!("tests=\"{all}\" failures=\"{failed}\" skipped=\"{skipped}\"");
         writeln!(xml, "<testsuite name=\"{name}\" {counts}>").expect("a string takes any text");
+        if !report.head.is_empty() {
+            let property = |(name, value): &(&str, String)| {
+                format!("<property name=\"{name}\" value=\"{}\"/>", escape(value))
+            };
+            let properties: String = report.head.iter().map(property).collect();
+            writeln!(xml, "<properties>{properties}</properties>")
+                .expect("a string takes any text");
+        }
         for finding in &report.findings {
             xml += &test_case(finding);
         }
@@ -224,6 +237,7 @@ mod tests {
         };
         let report = Report {
             device: "x".into(),
+            head: vec![("date", "1970 & later".into())],
             findings: vec![
                 finding(Outcome::Passed),
                 finding(Outcome::Failed("a < b".into())),
@@ -231,12 +245,15 @@ mod tests {
             ],
         };
         assert_eq!(report.summary(), "x: 3 cases, 1 passed, 1 failed, 1 skipped");
-        let one = Report { device: "x".into(), findings: vec![finding(Outcome::Passed)] };
+        let mut one = Report::new("x");
+        one.findings.push(finding(Outcome::Passed));
         assert_eq!(one.summary(), "x: 1 case, 1 passed, 0 failed, 0 skipped");
         let reports = [report];
         let (page, xml) = (html(&reports), junit(&reports));
         assert!(page.contains("Expected: a &lt; b") && page.contains("A &amp; B"), "{page}");
         assert!(page.contains("0.000 &lt;- 585  80 00 10 00 00 00 04 05"), "{page}");
+        assert!(page.contains("<th>date<td>1970 &amp; later"), "{page}");
+        assert!(xml.contains("<property name=\"date\" value=\"1970 &amp; later\"/>"), "{xml}");
         assert!(xml.contains("tests=\"3\" failures=\"1\" skipped=\"1\""), "{xml}");
         assert!(xml.contains("<failure message=\"a &lt; b\">"), "{xml}");
         assert!(xml.contains("<skipped message=\"no 1016h\"/>"), "{xml}");

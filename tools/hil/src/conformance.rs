@@ -22,7 +22,7 @@ use canopen_node::{
 
 use crate::{
     adapter::{Mode, Place},
-    report::show,
+    report::{Head, show},
 };
 
 /// The wait for the boot-ups of all nodes.
@@ -90,6 +90,7 @@ pub struct Test<'a> {
     /// The node-ID of the device; `None`: it is the only node.
     pub node: Option<NodeId>,
     pub bit_rate: BitRate,
+    pub chip: Option<&'a str>,
     /// The beginnings of the numbers of the wanted cases; empty: all.
     pub cases: &'a [String],
     /// The files without their endings.
@@ -114,7 +115,7 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     let mut adapter = test.adapter.connect()?;
     let bit_rate = adapter.fixed_rate().unwrap_or(test.bit_rate);
     adapter.open(bit_rate, Mode::Normal)?;
-    let name = format!("{name} at {}", adapter.description());
+    let description = adapter.description();
     let latency = adapter.latency().unwrap_or_default().max(test.latency);
     let node = test.node.map_or(LSS_NODE, NodeId::get);
     let mut bench = Bench::new(Line::Adapter(&mut *adapter), &eds, node);
@@ -129,10 +130,28 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
         Subject::ApplicationLayer(_) => {}
     }
     println!("node {}", bench.node);
+    let product = match test.subject {
+        Subject::Lss => {
+            let part = |address: &Address| {
+                format!(
+                    "{:08X}:{:08X}:{:08X}:{:08X}",
+                    address.vendor_id,
+                    address.product_code,
+                    address.revision_number,
+                    address.serial_number
+                )
+            };
+            let devices: Vec<_> = bench.lss.devices.iter().map(part).collect();
+            format!("LSS address {}", devices.join(", "))
+        }
+        Subject::ApplicationLayer(path) => format!("node {}, by {}", bench.node, path.display()),
+    };
+    let head = Head::new(product, test.chip, description);
     let mut reports = Vec::new();
     let has_case = |(groups, _): &&(&[Group], &str)| ::conformance::has_case(groups, test.cases);
     for (groups, suffix) in chapters.iter().filter(has_case) {
-        let mut report = Report::new(format!("{name}{suffix}"));
+        let mut report = Report::new(format!("{name} at {}{suffix}", head.adapter));
+        report.head = head.lines().map(|(name, value)| (name, value.to_owned())).to_vec();
         ::conformance::run(&mut bench, groups, test.cases, &mut report, |finding| {
             show(&finding.line(), PURPOSE);
         })?;

@@ -66,7 +66,7 @@ struct Arguments {
     #[arg(long, value_name = "EDS", conflicts_with = "conformance")]
     eds: Option<PathBuf>,
     /// The chip of the boards, for the head of the report: no service tells it
-    #[arg(long, value_name = "CHIP", conflicts_with = "conformance")]
+    #[arg(long, value_name = "CHIP")]
     chip: Option<String>,
     /// Whether to ask for a power cut and a short circuit; by default if the standard input is a terminal
     #[arg(long, value_name = "WHETHER", value_enum, default_value = "auto")]
@@ -147,6 +147,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             identity: &arguments.identity,
             node: arguments.node,
             bit_rate: arguments.bit_rate,
+            chip: arguments.chip.as_deref(),
             cases: &arguments.case,
             report: arguments.report.as_deref(),
             latency: Duration::from_millis(arguments.latency.into()),

@@ -85,7 +85,7 @@ pub fn write(session: &mut Session<'_>, object: &Object, value: &str) -> Result<
         let why = "of which type? --type u16, for example, or --eds FILE";
         return Err(Failure::Refused(why.into()));
     };
-    let bytes = sheet.bytes(entry, value, object.node.get()).map_err(Failure::Refused)?;
+    let bytes = sheet.written(entry, value, object.node.get()).map_err(Failure::Refused)?;
     sdo::download(&mut session.bus, object.node.get(), address, &bytes, WAIT)?
         .map_err(|why| failed(object, address, &why))
 }

@@ -199,7 +199,7 @@ impl Sheet {
             (Toml::Boolean(is_set), Kind::Unsigned) => u8::from(*is_set).to_string(),
             _ => return Err(self.no_value(entry, &value.to_string())),
         };
-        Ok((entry.address, self.bytes(entry, &text, node)?))
+        Ok((entry.address, self.written(entry, &text, node)?))
     }
 
     /// The bytes of a value, if it is one and within its limits.
@@ -212,6 +212,21 @@ impl Sheet {
             }
             None => Ok(bytes),
         }
+    }
+
+    /// The same of a value that a person wrote. A data sheet's habits are slips there: `face` for 0xFACE, 0500 for 320.
+    pub fn written(&self, entry: &Entry, text: &str, node: u8) -> Result<Vec<u8>, String> {
+        let is_plain = |summand: &str| {
+            let digits = summand.trim().trim_start_matches('-').to_ascii_lowercase();
+            digits.starts_with("0x")
+                || digits == "$nodeid"
+                || digits.parse::<u64>().is_ok_and(|number| number.to_string() == digits)
+        };
+        let is_number = matches!(entry.kind(), Kind::Unsigned | Kind::Integer);
+        if is_number && !text.split('+').all(is_plain) {
+            return Err(self.no_value(entry, text) + ": write it as 500 or 0x1F4");
+        }
+        self.bytes(entry, text, node)
     }
 
     /// The value with this name, or with this index and sub-index.

@@ -60,6 +60,8 @@ fn values_are_read_and_written_by_type_or_by_the_sheet() {
     for (arguments, code, why) in [
         ("write 5 1017 500", 1, "of which type? --type u16"),
         ("write 5 1017 65536 --type u16", 1, "65536 is no UNSIGNED16"),
+        ("write 5 1017 1e3 --type u16", 1, "1e3 is no UNSIGNED16: write it as 500 or 0x1F4"),
+        ("write 5 1017 0500 --type u16", 1, "0500 is no UNSIGNED16"),
         ("read 5 Gain", 1, "Gain is no object: 1017, or 2101:1"),
         ("read 5 5000", 1, "node 5, 5000:0: there is no such object (abort 06020000)"),
         ("read 6 1017", 3, "node 6, 1017:0: no answer"),
