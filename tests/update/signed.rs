@@ -173,10 +173,8 @@ fn the_commands_of_the_page_make_a_signed_product_which_is_not_built_without_a_k
     };
     let succeeds = |(succeeds, errors): (bool, String)| assert!(succeeds, "{errors}");
     succeeds(run(&make, false));
-    let build = format!(
-        "cargo build --release --target {TARGET} --features {} --bin signed-pump-loader",
-        PART.name()
-    );
+    let build =
+        format!("cargo build --release --target {TARGET} --features chip --bin signed-pump-loader");
     let (is_built, errors) = run(&build, true);
     assert!(!is_built && errors.contains("src/key.rs has no key"), "{errors}");
     succeeds(run(&printed("openssl"), true));
