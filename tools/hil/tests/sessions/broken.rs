@@ -85,6 +85,13 @@ fn a_board_that_is_silent_after_a_switch_is_named() {
 }
 
 #[test]
+fn a_silent_board_is_restored_by_an_adapter_that_lacks_the_slow_bit_rates() {
+    let run = run_with(Fault::Esp32SilentAfterSwitch, "activate");
+    run.assert_named("silent after the switch");
+    run.assert_left("restored");
+}
+
+#[test]
 fn a_board_that_cannot_be_brought_back_is_named_with_the_reason() {
     let run = run_with(Fault::SilentForEver, "activate");
     run.assert_named("the boards cannot be brought back to 125 kbit/s: board 515884C7");

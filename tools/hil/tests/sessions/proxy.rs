@@ -30,6 +30,8 @@ pub enum Fault {
     OneHeartbeat,
     /// An ESP32 is the adapter: it lacks 10, 20 and 50 kbit/s, cannot listen only, and reports no errors.
     Esp32,
+    /// The same, and nothing is heard of the board from a 15 to a reset.
+    Esp32SilentAfterSwitch,
     /// The connection ends at the first 17, and at each one after it.
     Vanishes,
     /// The connection ends at the first 17.
@@ -125,8 +127,12 @@ fn of_request(line: &str, fault: Fault, state: &Mutex<State>, bus: &TcpStream) -
             state.requests_due += 1;
             Fate::Forward
         }
-        Fault::Esp32 if ["S0\r", "S1\r", "S2\r", "L\r"].contains(&line) => Fate::Answer("\x07"),
-        Fault::Esp32 if is("F") => Fate::Answer("F00\r"),
+        Fault::Esp32 | Fault::Esp32SilentAfterSwitch
+            if ["S0\r", "S1\r", "S2\r", "L\r"].contains(&line) =>
+        {
+            Fate::Answer("\x07")
+        }
+        Fault::Esp32 | Fault::Esp32SilentAfterSwitch if is("F") => Fate::Answer("F00\r"),
         Fault::NoStore if is("t7E5817") => Fate::Answer("z\rt7E481700000000000000\r"),
         Fault::PowerCut if is("t7E581101") => {
             let mut bus = bus.try_clone().expect("a socket");
@@ -136,11 +142,13 @@ fn of_request(line: &str, fault: Fault, state: &Mutex<State>, bus: &TcpStream) -
             });
             Fate::Forward
         }
-        Fault::SilentAfterSwitch | Fault::SilentForEver if is("t7E5815") => {
+        Fault::SilentAfterSwitch | Fault::SilentForEver | Fault::Esp32SilentAfterSwitch
+            if is("t7E5815") =>
+        {
             state.is_silent = true;
             Fate::Forward
         }
-        Fault::SilentAfterSwitch if is("t000281") => {
+        Fault::SilentAfterSwitch | Fault::Esp32SilentAfterSwitch if is("t000281") => {
             state.is_silent = false;
             Fate::Forward
         }
