@@ -31,7 +31,7 @@ pub const DEVICE: Device = Device::new(
 .with_versions("1.0", env!("CARGO_PKG_VERSION"))
 // Bit-rate supervision: a device whose rate no frame has proven since power-on searches for the rate of the others
 // after an error. A proven rate is never left: docs/reference.md.
-.with_rescue(!cfg!(feature = "plain"))
+.with_rescue(true)
 // LSS lock, which refuses LSS configuration while the node is NMT operational: docs/reference.md.
 .with_lss_lock(false);
 

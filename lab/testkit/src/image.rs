@@ -60,13 +60,17 @@ pub fn build(part: Part) -> anyhow::Result<Image> {
 
 /// Builds the release firmware for `part` without bit-rate supervision.
 pub fn build_plain(part: Part) -> anyhow::Result<Image> {
-    build_board("plain", part)
+    build_firmware(part, &["--no-default-features"])
 }
 
 /// Builds the release firmware for a board of this name, which is a feature beside that of its chip.
 pub fn build_board(name: &str, part: Part) -> anyhow::Result<Image> {
+    build_firmware(part, &["--features", name])
+}
+
+fn build_firmware(part: Part, options: &[&str]) -> anyhow::Result<Image> {
     let elf = build_with(workspace(), FIRMWARE, part.name(), |command| {
-        command.args(["--features", name]);
+        command.args(options);
     })?;
     Ok(Image::from_elf(&elf)?)
 }

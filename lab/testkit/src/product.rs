@@ -246,7 +246,7 @@ impl Product<'_> {
     }
 
     /// The words of the firmware, and those of the product in their place.
-    fn exchanges(&self) -> [(&'static str, String); 13] {
+    fn exchanges(&self) -> [(&'static str, String); 12] {
         let (transmit, receive) = match self.controller {
             1 => (9, 8),
             2 => (13, 12),
@@ -261,7 +261,6 @@ impl Product<'_> {
             ("0x4C53_5334", "0x0000_0001".to_owned()),
             ("CANopen LSS slave on an STM32F4", format!("{name} on an {chip}")),
             ("\"LSS slave\"", format!("{name:?}")),
-            ("!cfg!(feature = \"plain\")", "true".to_owned()),
             ("cfg!(feature = \"nucleo-f446re\");", "false;".to_owned()),
             (LEDS[0], LEDS[1].to_owned()),
             ("self, GPIOA, GPIOB, GPIOC, GPIOD", "self, GPIOB, GPIOD".to_owned()),

@@ -1,5 +1,7 @@
 //! The description of a device: identity, names, defaults and options.
 
+use lss_slave::Slave;
+
 use crate::{BitRateSetting, BitRates, Settings, lss};
 
 /// The fixed properties of a device, as opposed to its [`Settings`].
@@ -34,7 +36,7 @@ pub struct Device {
     /// Manufacturer software version 100Ah.
     pub software_version: &'static str,
     /// Bit-rate supervision: after lasting errors without a valid frame, the node searches for the rate of the other
-    /// nodes (see `docs/reference.md`).
+    /// nodes (see `docs/reference.md`). The feature `rescue`, on by default, has its code.
     pub rescue: bool,
     /// LSS lock: the LSS state stays waiting while the node is NMT operational, so that nobody configures a running
     /// machine.
@@ -93,10 +95,20 @@ impl Device {
         Self { hardware_version: hardware, software_version: software, ..self }
     }
 
-    /// Sets [`rescue`](Self::rescue).
+    /// Sets [`rescue`](Self::rescue), which stays false without the feature `rescue`.
     #[must_use]
     pub const fn with_rescue(self, rescue: bool) -> Self {
-        Self { rescue, ..self }
+        Self { rescue: rescue && cfg!(feature = "rescue"), ..self }
+    }
+
+    /// The LSS slave with these settings in force.
+    pub(crate) const fn slave(&self, settings: Settings) -> Slave {
+        let slave = Slave::new(self.address, self.bit_rates, settings);
+        #[cfg(feature = "rescue")]
+        if self.rescue {
+            return slave.with_rescue();
+        }
+        slave
     }
 
     /// Sets [`lss_lock`](Self::lss_lock).

@@ -35,6 +35,7 @@
 //! LSS, bit rates and settings are those of the crate `lss-slave`, which serves other CANopen stacks too.
 //!
 //! # Features
+//! - `rescue`, on by default: the code of [`Device::with_rescue`], about 1 KB.
 //! - `defmt`: `defmt::Format` for the public types, and the log of the [`runner`].
 
 #![no_std]

@@ -146,10 +146,7 @@ impl<A: Application> Node<A> {
             Some(settings) => settings,
             None => device.defaults,
         };
-        let mut slave = Slave::new(device.address, device.bit_rates, persistent);
-        if device.rescue {
-            slave = slave.with_rescue();
-        }
+        let slave = device.slave(persistent);
         Self {
             product: Product::new(device, application, slave.bit_rate().in_use()),
             slave,

@@ -76,8 +76,8 @@
 //! communication: the node then does as at [`Action::ResetCommunication`]. The loop may sleep until
 //! [`poll_at`](Slave::poll_at) or the next interrupt.
 //!
-//! With [`Slave::with_rescue`] and the controller's events it also finds its network at another bit rate. A device that
-//! has one bit rate for ever needs the state machine alone:
+//! With [`Slave::with_rescue`] (the feature `rescue`, on by default) and the controller's events it also finds its
+//! network at another bit rate. A device that has one bit rate for ever needs the state machine alone:
 //!
 //! ```
 //! use lss_slave::{

@@ -69,6 +69,7 @@ impl Slave {
 
     /// Adds the search for a network at another bit rate: while no frame has proven the node's own, it listens at the
     /// others in turn when the controller reports errors.
+    #[cfg(feature = "rescue")]
     #[must_use]
     pub const fn with_rescue(self) -> Self {
         let serial_number = self.lss.address().serial_number;

@@ -213,7 +213,7 @@ impl Board {
     /// Starts the node of the loader with what was in force, or the stored settings, or the defaults.
     pub fn start_loader<C: Peripheral>(
         mut self,
-        device: Device,
+        mut device: Device,
         place: &'static mut Place,
         stay: Stay,
         can: C,
@@ -241,7 +241,6 @@ impl Board {
             allows_downgrade,
         };
         let updater = place.write(Updater::new(Areas::new(now), Checked, expected, why, now()));
-        let mut device = device.with_rescue(false);
         if let Some(header) = updater.header() {
             device.address.revision_number = header.revision_number;
         }

@@ -1,11 +1,9 @@
 //! The objects of program download (CiA 302-3): 1F50h, 1F51h, 1F56h and 1F57h, and the state 2001h of an update, in a
 //! product or loader that turns them on.
 
-use lss_slave::Slave;
-
 use super::{Action, Node, Task, Tasks};
 use crate::{
-    Application, Device, Instant, Settings, nmt,
+    Application, Instant, Settings, nmt,
     object_dictionary::{
         Access::{Const, ReadOnly, ReadWrite, WriteOnly},
         DataType::{Domain, Unsigned8, Unsigned32},
@@ -141,11 +139,7 @@ impl<A: Application> Node<A> {
     #[must_use]
     pub fn with_in_force(mut self, settings: Settings, heartbeat_ms: u16) -> Self {
         self.nmt.configure(heartbeat_ms, self.nmt.error_behaviour());
-        let Device { address, bit_rates, rescue, .. } = self.product.device;
-        self.slave = Slave::new(address, bit_rates, settings);
-        if rescue {
-            self.slave = self.slave.with_rescue();
-        }
+        self.slave = self.product.device.slave(settings);
         self
     }
 

@@ -66,6 +66,7 @@ impl Control {
     }
 
     /// Adds the search from an unproven home rate. The serial number keeps several nodes from acting at the same time.
+    #[cfg(feature = "rescue")]
     #[must_use]
     pub(crate) const fn with_rescue(self, serial_number: u32) -> Self {
         let supervision = self.supervision.with_rescue(serial_number);

@@ -49,7 +49,7 @@ const SESSION_MICROS: u32 = 64_000_000;
 #[derive(Clone, Debug)]
 pub(super) struct Supervision {
     rates: BitRates,
-    is_enabled: bool,
+    search: Option<Search>,
     serial_number: u32,
     home: BitRate,
     /// The supervision has nothing to do at home until the next switch.
@@ -67,6 +67,14 @@ pub(super) struct Supervision {
     rescues: u16,
 }
 
+/// That the node searches. Without the feature there is no such value, and the compiler leaves out the places that have
+/// one, with what is done there.
+#[derive(Clone, Copy, Debug)]
+enum Search {
+    #[cfg(feature = "rescue")]
+    On,
+}
+
 /// Where the node is, and what it knows there.
 #[derive(Clone, Copy, Debug)]
 enum Place {
@@ -75,13 +83,14 @@ enum Place {
     /// Takes part at home but sends nothing, since nobody acknowledges.
     Pause { until: Instant },
     /// Listens at a rate of the round, home among them, in one of so many stays.
-    Round { stay: Stay, stays: u8 },
+    Round { stay: Stay, stays: u8, search: Search },
     /// Listens at home between two stays, the next of them at this rate: a turn of home.
     AtHome { next: BitRate, stays: u8, has_heard: bool, until: Instant },
     /// Listens to detect a home rate.
     Detecting(Stay),
     /// Takes part at the rate found, and only answers.
     Guest {
+        _search: Search,
         rate: BitRate,
         /// The time of the latest valid frame that was received or acknowledged.
         heard_at: Instant,
@@ -124,7 +133,7 @@ impl Supervision {
         };
         Self {
             rates,
-            is_enabled: false,
+            search: None,
             serial_number: 0,
             home,
             is_proven: true,
@@ -139,8 +148,9 @@ impl Supervision {
     }
 
     /// Adds the search from an unproven home.
+    #[cfg(feature = "rescue")]
     pub const fn with_rescue(self, serial_number: u32) -> Self {
-        Self { is_enabled: true, is_proven: false, serial_number, ..self }
+        Self { search: Some(Search::On), is_proven: false, serial_number, ..self }
     }
 
     /// The bit rate at which the controller runs or listens.
@@ -234,7 +244,7 @@ impl Supervision {
         if rate == before {
             self.is_proven |= self.is_guest();
         } else {
-            self.is_proven = !self.is_enabled;
+            self.is_proven = self.search.is_none();
             self.previous = Some(before);
             self.step = Some(Step::TakePart(rate));
         }
@@ -302,10 +312,16 @@ impl Supervision {
             Place::Guest { heard_at, errors, until, .. } => {
                 (*heard_at, *errors, *until) = (now, 0, None);
             }
-            Place::Round { stay, .. } if stay.rate != self.home => {
+            Place::Round { stay, search, .. } if stay.rate != self.home => {
                 let rate = stay.rate;
-                self.place =
-                    Place::Guest { rate, heard_at: now, errors: 0, is_asked: false, until: None };
+                self.place = Place::Guest {
+                    _search: *search,
+                    rate,
+                    heard_at: now,
+                    errors: 0,
+                    is_asked: false,
+                    until: None,
+                };
                 self.step = Some(Step::TakePart(rate));
             }
             Place::Detecting(stay) => {
@@ -321,12 +337,15 @@ impl Supervision {
     fn handle_error(&mut self, leads_on: bool, now: Instant) {
         match self.place {
             Place::Home { .. } | Place::Pause { .. } => {
-                if !self.is_proven && self.trusted_until.is_none() {
+                if let Some(search) = self.search
+                    && !self.is_proven
+                    && self.trusted_until.is_none()
+                {
                     let fastest = self.next_rate(BitRate::Kbit10);
                     let other =
                         if fastest == self.home { self.next_rate(fastest) } else { fastest };
                     let rate = self.previous.take().unwrap_or(other);
-                    self.stay(rate, 0, now);
+                    self.stay(search, rate, 0, now);
                 }
             }
             Place::Guest { rate, ref mut errors, .. } => {
@@ -335,8 +354,9 @@ impl Supervision {
                     self.take_turn(rate, 0, true, now);
                 }
             }
-            Place::Round { stay, stays } => {
-                self.place = Place::Round { stay: self.note_traffic(stay, leads_on, now), stays };
+            Place::Round { stay, stays, search } => {
+                let stay = self.note_traffic(stay, leads_on, now);
+                self.place = Place::Round { stay, stays, search };
             }
             Place::Detecting(stay) => {
                 self.place = Place::Detecting(self.note_traffic(stay, leads_on, now));
@@ -395,13 +415,15 @@ impl Supervision {
                 self.step = Some(Step::DropFrames);
             }
             Place::Pause { .. } => self.place = Place::Home { until: None },
-            Place::Round { stay, stays } => {
+            Place::Round { stay, stays, .. } => {
                 self.take_turn(self.rate_after(stay), stays, stay.has_heard, now);
             }
-            Place::AtHome { next, stays, has_heard: true, .. } if stays < MOST_STAYS => {
-                self.stay(next, stays, now);
-            }
-            Place::AtHome { .. } => self.stay_home(),
+            Place::AtHome { next, stays, has_heard, .. } => match self.search {
+                Some(search) if has_heard && stays < MOST_STAYS => {
+                    self.stay(search, next, stays, now);
+                }
+                _ => self.stay_home(),
+            },
             Place::Guest { rate, .. } => self.take_turn(rate, 0, false, now),
             Place::Detecting(stay) if stay.has_heard => {
                 self.detect_at(self.rate_after(stay), Some(now.plus_micros(STAY_MICROS)));
@@ -439,9 +461,9 @@ impl Supervision {
     }
 
     /// Listens at a rate of the round, after so many stays.
-    fn stay(&mut self, rate: BitRate, stays: u8, now: Instant) {
+    fn stay(&mut self, search: Search, rate: BitRate, stays: u8, now: Instant) {
         let stay = Stay::new(rate, Some(now.plus_micros(STAY_MICROS)));
-        self.place = Place::Round { stay, stays: stays.saturating_add(1) };
+        self.place = Place::Round { stay, stays: stays.saturating_add(1), search };
         self.step = Some(Step::Listen(rate));
     }
 
