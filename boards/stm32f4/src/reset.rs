@@ -7,7 +7,7 @@ use canopen_node::emergency::{Restart, RestartCause};
 use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::{panic, watchdog};
+use crate::{panic, task};
 
 /// The place, which `image.x` and `program.x` keep free; the loader uses other RAM.
 const PLACE: *mut [u32; 5] = 0x2000_4000 as *mut _;
@@ -129,7 +129,7 @@ impl Reset {
     pub fn log(&self) {
         let [tasks, address, start, length] = self.left;
         match self.failure.map(|restart| restart.cause) {
-            Some(RestartCause::Watchdog) => watchdog::log_reset(tasks as u16),
+            Some(RestartCause::Watchdog) => task::log_reset(tasks as u16),
             Some(RestartCause::Fault) => {
                 defmt::error!("reset by a hard fault at {=u32:#x}", address)
             }

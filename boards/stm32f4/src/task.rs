@@ -3,7 +3,7 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 /// The most tasks, those of the product included.
-pub(crate) const TASKS: usize = 16;
+const TASKS: usize = 16;
 
 /// Whether each task has yet to answer: none before the first roll call.
 static ABSENT: [AtomicBool; TASKS] = [const { AtomicBool::new(false) }; TASKS];
@@ -49,4 +49,27 @@ pub(crate) fn call_roll() -> u16 {
         absent.store(true, Ordering::Relaxed);
     }
     missing
+}
+
+/// Logs a reset by the watchdog, with the tasks that were silent before it, a bit for each.
+#[cfg(target_os = "none")]
+pub(crate) fn log_reset(silent: u16) {
+    defmt::warn!("reset by the watchdog: a task did not run in time");
+    if silent == 0 {
+        defmt::warn!("silent: `init`, or the task of TIM2, or one of its priority or above");
+        return;
+    }
+    let own = [
+        defmt::intern!("the task of CAN RX0"),
+        defmt::intern!("the task of CAN TX"),
+        defmt::intern!("the task of CAN SCE"),
+        defmt::intern!("the task that stores"),
+        defmt::intern!("`idle`"),
+    ];
+    for number in (0..TASKS).filter(|number| silent >> number & 1 == 1) {
+        match own.get(number) {
+            Some(task) => defmt::warn!("silent: {=istr}", task),
+            None => defmt::warn!("silent: Task::own({=u8})", (number - own.len()) as u8),
+        }
+    }
 }

@@ -8,11 +8,7 @@ use stm32f4xx_hal::{
 };
 
 pub use crate::task::Task;
-use crate::{
-    can::Peripheral,
-    reset,
-    task::{self, TASKS},
-};
+use crate::{can::Peripheral, reset, task};
 
 /// The timeout in ms at 32 kHz; the oscillator runs at 17 to 47 kHz. The longest pause of a healthy board is the erase
 /// of a 16 KB sector: 800 ms by bytes, 500 ms by words. A new board erases two; should the watchdog end that, the next
@@ -29,28 +25,6 @@ pub(crate) const STORE: Interrupt = Interrupt::RCC;
 #[cfg(feature = "update")]
 pub(crate) fn all_have_answered() -> bool {
     reset::silent() == 0
-}
-
-/// Logs a reset by the watchdog, with the tasks that were silent before it, a bit for each.
-pub(crate) fn log_reset(silent: u16) {
-    defmt::warn!("reset by the watchdog: a task did not run in time");
-    if silent == 0 {
-        defmt::warn!("silent: `init`, or the task of TIM2, or one of its priority or above");
-        return;
-    }
-    let own = [
-        defmt::intern!("the task of CAN RX0"),
-        defmt::intern!("the task of CAN TX"),
-        defmt::intern!("the task of CAN SCE"),
-        defmt::intern!("the task that stores"),
-        defmt::intern!("`idle`"),
-    ];
-    for number in (0..TASKS).filter(|number| silent >> number & 1 == 1) {
-        match own.get(number) {
-            Some(task) => defmt::warn!("silent: {=istr}", task),
-            None => defmt::warn!("silent: Task::own({=u8})", (number - own.len()) as u8),
-        }
-    }
 }
 
 /// The watchdog.
