@@ -8,13 +8,13 @@ use crate::rig::*;
 /// The limit for an answer, except to store configuration, in core cycles.
 const ANSWER_CYCLES: u64 = 480;
 /// The limit for a boot-up caused by a request or a command: the filters change with the node-ID.
-const BOOT_UP_CYCLES: u64 = 2_000;
+const BOOT_UP_CYCLES: u64 = 2_100;
 /// The limit for an SDO upload, which searches the object dictionary.
 const SDO_CYCLES: u64 = 900;
 /// The limit for the answer to store configuration if there is nothing to write: 15 us.
 const UNCHANGED_STORE_CYCLES: u64 = 15 * CORE_MHZ;
 /// The limits for the first three if reads of the flash have wait states.
-const WITH_WAITS: [u64; 3] = [640, 3_000, 1_250];
+const WITH_WAITS: [u64; 3] = [640, 3_200, 1_250];
 /// The limit for the CPU load of a 1 Mbit/s bus that is full of requests.
 const MOST_LOAD_PERCENT: u64 = 10;
 /// The time-out of a fast master.

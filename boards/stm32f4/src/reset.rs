@@ -25,8 +25,8 @@ const COMMANDED: u32 = 0xFF;
 type Left = [u32; 4];
 
 /// A word that fits the others. After power-on it does not: RAM is random then.
-fn check(left: Left) -> u32 {
-    !left.into_iter().fold(0, u32::wrapping_add)
+fn check([kind, address, start, length]: Left) -> u32 {
+    !kind.wrapping_add(address).wrapping_add(start).wrapping_add(length)
 }
 
 fn write(left: Left) {
