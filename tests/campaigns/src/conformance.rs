@@ -67,7 +67,7 @@ pub struct Arguments {
     /// Write the index of cases into docs/conformance.md, and run nothing
     #[arg(long)]
     index: bool,
-    /// Run only this image: default, io or thermo; can be repeated
+    /// Run only this image: default or io; can be repeated
     #[arg(long, value_name = "NAME")]
     image: Vec<ImageName>,
     /// Run this program in place of an image of ours
@@ -152,8 +152,6 @@ enum ImageName {
     Default,
     /// The example `io`
     Io,
-    /// The example `thermo`
-    Thermo,
 }
 
 impl ImageName {
@@ -161,7 +159,6 @@ impl ImageName {
         match self {
             Self::Default => None,
             Self::Io => Some(Example::Io),
-            Self::Thermo => Some(Example::Thermo),
         }
     }
 
@@ -169,7 +166,6 @@ impl ImageName {
         match self {
             Self::Default => "eds/lss-slave.eds",
             Self::Io => "eds/io.eds",
-            Self::Thermo => "eds/thermo.eds",
         }
     }
 }

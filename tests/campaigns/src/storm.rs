@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     println!("--seed {seed}");
     match arguments.example {
         None => rage(arguments, &image, ImageStorm::new(board, &image, DEVICE, seed)),
-        Some(Example::Commissioner | Example::Thermo) => {
+        Some(Example::Commissioner) => {
             bail!("no storm knows the objects of this example: choose `io`")
         }
         Some(Example::Io) => {

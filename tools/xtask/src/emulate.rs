@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn the_board_of_each_example_answers_a_master() {
-        for example in ["", "--example io", "--example thermo"] {
+        for example in ["", "--example io"] {
             let mut network = prepared(&format!("{example} --node-id 5")).expect(example).network;
             let master = network.add_adapter(Adapter::new(bit_per_s(DEFAULT_BIT_RATE)));
             for request in ["04 01", "5E"] {
@@ -342,7 +342,7 @@ mod tests {
             Ok(_) => panic!("`{words}` is not refused"),
             Err(error) => error.to_string(),
         };
-        for words in ["--controller can2", "--example thermo --crystal 12"] {
+        for words in ["--controller can2", "--example io --crystal 12"] {
             assert!(refusal(words).contains("--elf <FILE>"), "{words}");
         }
         assert!(refusal("--chip stm32g431").contains("needs --elf"));

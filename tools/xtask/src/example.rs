@@ -15,8 +15,6 @@ pub enum Example {
     Commissioner,
     /// Digital and analogue I/O, `examples/io`
     Io,
-    /// Four temperatures and two relays on CAN2, `examples/thermo`
-    Thermo,
 }
 
 impl Example {
@@ -25,7 +23,6 @@ impl Example {
         match self {
             Self::Commissioner => "commissioner",
             Self::Io => "io",
-            Self::Thermo => "thermo",
         }
     }
 
@@ -35,23 +32,21 @@ impl Example {
     }
 }
 
-/// The board of an example, or of the plain firmware: its crystal, and the CAN controller on the bus as in the product's
-/// `pins.rs`.
+/// The board of an example, or of the plain firmware, with its crystal.
 pub fn board(example: Option<Example>) -> Settings {
     macro_rules! clock {
         ($product:ident) => {
             ($product::device::CRYSTAL_HZ, $product::device::CRYSTAL_IS_EXTERNAL_CLOCK)
         };
     }
-    let ((hz, external_clock), controller) = match example {
-        None => (clock!(firmware), 1),
+    let (hz, external_clock) = match example {
+        None => clock!(firmware),
         // That of an STM32F407 Discovery.
-        Some(Example::Commissioner) => ((8_000_000, false), 1),
-        Some(Example::Io) => (clock!(example_io), 1),
-        Some(Example::Thermo) => (clock!(example_thermo), 2),
+        Some(Example::Commissioner) => (8_000_000, false),
+        Some(Example::Io) => clock!(example_io),
     };
     let chip_variant = ChipVariant { external_clock, ..ChipVariant::default() };
-    Settings { crystal: Clock { hz, ppm: 0 }, controller, chip_variant, ..Settings::default() }
+    Settings { crystal: Clock { hz, ppm: 0 }, chip_variant, ..Settings::default() }
 }
 
 /// Builds the plain firmware or an example.

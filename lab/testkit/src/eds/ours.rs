@@ -4,14 +4,13 @@ use std::fs;
 
 use anyhow::{Context, ensure};
 use example_io as io;
-use example_thermo as thermo;
 use firmware::{application, device};
 
 use super::{DataSheet, Product};
 use crate::cargo::workspace;
 
 /// The files that the tables give: their paths and their content.
-pub fn files() -> [(&'static str, String); 4] {
+pub fn files() -> [(&'static str, String); 3] {
     let io = DataSheet::new(
         Product {
             file_name: "io.eds",
@@ -22,22 +21,11 @@ pub fn files() -> [(&'static str, String); 4] {
         io::application::Node::entries(&io::device::DEVICE),
         &io::application::Application::new(),
     );
-    let thermo = DataSheet::new(
-        Product {
-            file_name: "thermo.eds",
-            vendor_name: thermo::device::VENDOR_NAME,
-            description: thermo::device::DESCRIPTION,
-            device: thermo::device::DEVICE,
-        },
-        thermo::application::Node::entries(&thermo::device::DEVICE),
-        &thermo::application::Application::new(),
-    );
     let firmware = of_firmware();
     [
         ("eds/lss-slave.eds", firmware.eds()),
         ("docs/object-dictionary.md", firmware.page()),
         ("eds/io.eds", io.eds()),
-        ("eds/thermo.eds", thermo.eds()),
     ]
 }
 
