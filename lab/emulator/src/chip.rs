@@ -19,7 +19,6 @@ mod surroundings;
 mod system;
 mod timer;
 mod unmodelled;
-mod usart;
 mod variant;
 
 pub use adc::{Adc, Analogue};
@@ -48,7 +47,6 @@ pub use system::AtZero;
 use system::{Dbgmcu, Exti, Factory, Power, Pwr, Syscfg};
 use timer::Timer;
 use unmodelled::Kept;
-use usart::Usart;
 
 use crate::{
     Time,
@@ -72,8 +70,6 @@ pub struct Chip {
     iwdg: Iwdg,
     /// TIM1 to TIM14; an STM32G4 uses those that are as on an STM32F4.
     timers: Vec<Timer>,
-    /// USART1 to USART6 of an STM32F4.
-    usarts: Vec<Usart>,
     /// SPI1 to SPI6 of an STM32F4.
     spis: Vec<Spi>,
     crc: Crc,
@@ -137,7 +133,6 @@ impl Chip {
             flash: Flash::new(part, &variant),
             iwdg: Iwdg::new(variant.lsi_hz),
             timers: timer::KINDS.iter().map(Timer::new).collect(),
-            usarts: usart::KINDS.iter().map(Usart::new).collect(),
             spis: spi::KINDS.iter().map(Spi::new).collect(),
             crc: Crc::new(),
             gpio: Gpio::new(part),
@@ -192,11 +187,6 @@ impl Chip {
         &mut self.adc
     }
 
-    /// The bytes that the USARTs have sent since the last call, those of USART1 first.
-    pub fn take_sent(&mut self) -> Vec<Vec<u8>> {
-        self.usarts.iter_mut().map(Usart::take_sent).collect()
-    }
-
     /// A CAN controller: 1 for CAN1. Panics if the part has no such controller.
     pub fn can(&self, number: usize) -> &dyn Peripheral {
         &*self.cans[number - 1]
@@ -235,7 +225,6 @@ impl Chip {
             | u128::from(self.adc.irq()) << 18
             | cans.fold(0, BitOr::bitor)
             | self.timers.iter().map(Timer::irqs).fold(0, BitOr::bitor)
-            | self.usarts.iter().map(Usart::irqs).fold(0, BitOr::bitor)
             | self.spis.iter().map(Spi::irqs).fold(0, BitOr::bitor)
     }
 
@@ -336,7 +325,6 @@ impl Chip {
     fn gated(&self) -> impl Iterator<Item = Block> + use<> {
         (0..self.timers.len())
             .map(Block::Timer)
-            .chain((0..self.usarts.len()).map(Block::Usart))
             .chain((0..self.spis.len()).map(Block::Spi))
             .chain((0..self.gpio.len()).map(Block::Gpio))
             .chain((0..self.cans.len()).map(Block::Can))
@@ -397,7 +385,6 @@ impl Chip {
             Block::FlashRegisters => &mut self.flash,
             Block::Pwr => &mut *self.pwr,
             Block::Timer(timer) => &mut self.timers[timer],
-            Block::Usart(usart) => &mut self.usarts[usart],
             Block::Spi(spi) => &mut self.spis[spi],
             Block::Crc => &mut self.crc,
             Block::Iwdg => &mut self.iwdg,

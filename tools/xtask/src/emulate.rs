@@ -56,8 +56,8 @@ const DEFAULT_HEARTBEAT_MS: u16 = 1000;
 /// The boards run the release firmware in real time until Ctrl-C. An adapter that is opened at a different bit rate
 /// from theirs disturbs the bus, as on a desk; an adapter that is closed drops its waiting frames.
 ///
-/// With --elf any program for an STM32F4 or an STM32G431 runs beside them. Its defmt or RTT log and what it sends by a
-/// USART are printed, and at the end every access that the emulated board does not model or a chip does not tolerate.
+/// With --elf any program for an STM32F4 or an STM32G431 runs beside them. Its defmt or RTT log is
+/// printed, and at the end every access that the emulated board does not model or a chip does not tolerate.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {

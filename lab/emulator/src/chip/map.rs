@@ -5,7 +5,7 @@ use super::{
     part::Family,
     rcc::{self, Gate},
     registers::{Apb, Place},
-    spi, timer, usart,
+    spi, timer,
 };
 use crate::can::fdcan;
 
@@ -22,7 +22,6 @@ pub(super) enum Block {
     Rcc,
     Pwr,
     Timer(usize),
-    Usart(usize),
     Spi(usize),
     Crc,
     Iwdg,
@@ -95,10 +94,8 @@ impl Block {
             (Apb::Two, 15) => Self::Exti,
             _ => {
                 let timer = timer::KINDS.iter().position(|kind| kind.place == place);
-                let usart = usart::KINDS.iter().position(|kind| kind.place == place);
                 let spi = spi::KINDS.iter().position(|kind| kind.place == place);
-                let timer = timer.map(Self::Timer).or(usart.map(Self::Usart));
-                timer.or(spi.map(Self::Spi)).unwrap_or(Self::Unknown)
+                timer.map(Self::Timer).or(spi.map(Self::Spi)).unwrap_or(Self::Unknown)
             }
         }
     }
@@ -109,11 +106,10 @@ impl Block {
         let (bus, bit) = match self {
             Self::Gpio(port) if is_g4 => return Some((g4::AHB2ENR, port as u32)),
             Self::Gpio(port) => return Some((rcc::AHB1ENR, port as u32)),
-            Self::Adc | Self::Usart(_) | Self::Spi(_) if is_g4 => return None,
+            Self::Adc | Self::Spi(_) if is_g4 => return None,
             Self::Syscfg if is_g4 => (Apb::Two, 0),
             Self::Crc => return Some((rcc::AHB1ENR, 12)),
             Self::Timer(timer) => timer::KINDS[timer].place,
-            Self::Usart(usart) => usart::KINDS[usart].place,
             Self::Spi(spi) => spi::KINDS[spi].place,
             Self::Can(can) => (Apb::One, 25 + can as u32),
             Self::Pwr => (Apb::One, 28),

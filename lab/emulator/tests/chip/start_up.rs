@@ -1,4 +1,4 @@
-//! Peripherals that start-up code of others touches: USART and the backup domain.
+//! The backup domain, which start-up code of others touches.
 
 use emulator::{
     Time,
@@ -9,26 +9,6 @@ use crate::rig::{PWR_CR, RCC_APB1ENR, Rig};
 
 const RCC_BDCR: u32 = 0x4002_3870;
 const DBP: u32 = 1 << 8;
-
-#[test]
-fn a_usart_sends_the_bytes_of_an_enabled_transmitter() {
-    const USART2: u32 = 0x4000_4400;
-    const USART2_IRQ: u32 = 38;
-    let mut rig = Rig::new(Part::Stm32f405);
-    rig.write_all(&[(RCC_APB1ENR, 1 << 17), (USART2 + 4, b'?'.into())]);
-    assert_eq!(rig.take_sent().concat(), b"", "it is off");
-    rig.write(USART2 + 0x0C, 1 << 13 | 1 << 3);
-    for byte in *b"hello" {
-        assert_eq!(rig.read(USART2), 0xC0, "TXE and TC");
-        rig.write(USART2 + 4, byte.into());
-    }
-    assert_eq!(rig.take_sent()[1], b"hello");
-    assert_eq!(rig.take_sent().concat(), b"");
-    assert_eq!(rig.irqs(), 0);
-    rig.write(USART2 + 0x0C, 1 << 13 | 1 << 7 | 1 << 3);
-    assert_eq!(rig.irqs(), 1 << USART2_IRQ);
-    assert_eq!(rig.problems(), []);
-}
 
 fn unlock(rig: &mut Rig) {
     rig.write_all(&[(RCC_APB1ENR, 1 << 28), (PWR_CR, DBP)]);

@@ -33,8 +33,6 @@ struct Program {
     part: Part,
     image: Image,
     log: Decoder,
-    /// The bytes of each USART since its last end of line.
-    serial: Vec<Vec<u8>>,
 }
 
 impl Programs {
@@ -131,7 +129,7 @@ impl Program {
         let name = path.file_name().map_or_else(String::new, |name| name.display().to_string());
         let log = Decoder::new(&image)
             .with_context(|| format!("the log of {} cannot be read", path.display()))?;
-        Ok(Self { number, name, part, image, log, serial: Vec::new() })
+        Ok(Self { number, name, part, image, log })
     }
 
     fn new_lines(&mut self, board: &Board) -> Vec<String> {
@@ -139,19 +137,7 @@ impl Program {
         let text = |line: LogLine| {
             format!("{:>14}  {}: {:5} {}", line.time, self.name, line.level, line.text)
         };
-        let mut lines: Vec<_> = log.into_iter().map(text).collect();
-        let sent = board.chip().take_sent();
-        self.serial.resize(sent.len(), Vec::new());
-        for (number, (serial, sent)) in (1..).zip(self.serial.iter_mut().zip(sent)) {
-            serial.extend(sent);
-            while let Some(end) = serial.iter().position(|byte| *byte == b'\n') {
-                let line: Vec<u8> = serial.drain(..=end).collect();
-                let text = String::from_utf8_lossy(&line);
-                let text = text.trim_end();
-                lines.push(format!("{:>14}  {}: USART{number} {text}", board.now(), self.name));
-            }
-        }
-        lines
+        log.into_iter().map(text).collect()
     }
 
     fn report(&self, board: &Board) -> String {
