@@ -112,25 +112,6 @@ impl Product {
         let elf = build_with(directory, name, OF_PRODUCT, |_| ())?;
         Ok(Self { part, controller, image: Image::from_elf(&elf)? })
     }
-
-    /// The same with its loader, which starts the program: the flash of a new board.
-    #[cfg(feature = "products")]
-    pub fn build_with_loader(
-        directory: &str,
-        name: &str,
-        device: &canopen_node::Device,
-    ) -> anyhow::Result<Self> {
-        let program = Self::build(directory, name)?;
-        let loader = build_loader(Path::new(directory), name, |_| ())?;
-        let image = crate::update::factory_of(
-            &Image::from_elf(&loader)?,
-            &program.image,
-            device,
-            program.part,
-            program.controller,
-        )?;
-        Ok(Self { image, ..program })
-    }
 }
 
 /// The chip of a product in `Cargo.toml`, and its controller in `src/pins.rs`, to whose interrupts `src/main.rs` must bind,

@@ -23,7 +23,8 @@ use program_update::{
 };
 
 use crate::{
-    hex, image,
+    hex,
+    image::{self, Product},
     image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET},
 };
 
@@ -123,19 +124,19 @@ pub fn factory(loader: &Image, file: &[u8]) -> Image {
     Image::from_segments(of_loader.chain([(run, file.to_vec())]).collect())
 }
 
-/// The same for a loader as it is linked, and a program without a signature, which a loader starts too.
-pub(crate) fn factory_of(
-    loader: &Image,
-    program: &Image,
-    device: &Device,
-    part: Part,
-    controller: u8,
-) -> anyhow::Result<Image> {
-    let chip = Chip::named(part.name()).context("no chip of a product")?;
-    let begins = program.segments().map(|(address, _)| address).min();
+/// A product with its loader, and a program without a signature, which a loader starts too: the flash of a new board.
+///
+/// # Errors
+/// It does not build.
+pub fn build_product(directory: &str, name: &str, device: &Device) -> anyhow::Result<Product> {
+    let program = Product::build(directory, name)?;
+    let loader = image::build_loader(Path::new(directory), name, |_| ())?;
+    let chip = Chip::named(program.part.name()).context("no chip of a product")?;
+    let begins = program.image.segments().map(|(address, _)| address).min();
     let is_signed = begins == Some(chip.run(true).address + HEADER_LEN as u32);
-    let file = file_in(chip.run(is_signed), program, device, part, controller)?;
-    Ok(factory(&in_flash(loader)?, &file))
+    let run = chip.run(is_signed);
+    let file = file_in(run, &program.image, device, program.part, program.controller)?;
+    Ok(Product { image: factory(&in_flash(&Image::from_elf(&loader)?)?, &file), ..program })
 }
 
 /// The files with which loader and program of a product get onto boards, with their names.

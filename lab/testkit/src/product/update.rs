@@ -36,7 +36,7 @@ pub(super) const CHANGES: &[Change<'_>] = &[
     (
         "tests/board.rs",
         "Product::build(&directory, env!(\"CARGO_PKG_NAME\"))",
-        "Product::build_with_loader(&directory, env!(\"CARGO_PKG_NAME\"), &DEVICE)",
+        "testkit::update::build_product(&directory, env!(\"CARGO_PKG_NAME\"), &DEVICE)",
     ),
     ("ci.sh", "cargo eds\n", "cargo eds\ncargo update-file\n"),
     (
