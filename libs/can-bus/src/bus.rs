@@ -45,9 +45,21 @@ const SLOW_FRAME: Duration = Duration::from_micros(800);
 /// The number of unasked frames that are kept.
 const KEPT: usize = 1000;
 
+/// What an adapter did.
+#[derive(Clone, Debug)]
+pub enum What {
+    Opened(BitRate),
+    Sent(Frame),
+    Received(Frame),
+}
+
+/// Somebody who is told at once, and whose error ends the run.
+type Watcher = Box<dyn FnMut(What, Instant) -> Result<(), Stop>>;
+
 /// The bus, and a master on it.
 pub struct Bus {
     adapter: Box<dyn Adapter>,
+    watcher: Option<Watcher>,
     latency: Duration,
     rate: BitRate,
     is_interrupted: Arc<AtomicBool>,
@@ -226,21 +238,35 @@ impl Bus {
             serial_numbers: (0, Vec::new()),
             master: None,
             start: adapter.now(),
+            watcher: None,
             adapter,
         }
     }
 
     /// Joins the bus at another rate, or again.
     pub fn open(&mut self, rate: BitRate) -> Result<(), Stop> {
-        self.rate = rate;
         self.master = None;
-        self.adapter.open(rate, Mode::Normal)
+        self.open_as(rate, Mode::Normal)
     }
 
     /// Joins the bus as a listener.
     pub fn listen(&mut self, rate: BitRate) -> Result<(), Stop> {
+        self.open_as(rate, Mode::ListenOnly)
+    }
+
+    fn open_as(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
         self.rate = rate;
-        self.adapter.open(rate, Mode::ListenOnly)
+        self.adapter.open(rate, mode)?;
+        self.tell(What::Opened(rate), self.adapter.now())
+    }
+
+    /// Tells all that the adapter does from now on.
+    pub fn watch(&mut self, watcher: impl FnMut(What, Instant) -> Result<(), Stop> + 'static) {
+        self.watcher = Some(Box::new(watcher));
+    }
+
+    fn tell(&mut self, what: What, now: Instant) -> Result<(), Stop> {
+        self.watcher.as_mut().map_or(Ok(()), |watcher| watcher(what, now))
     }
 
     /// Leaves the bus, as far as the adapter still works.
@@ -335,6 +361,7 @@ impl Bus {
         self.check_interrupt()?;
         self.sent.truncate(ECHOES - 1);
         self.sent.push_front(*frame);
+        self.tell(What::Sent(*frame), self.adapter.now())?;
         self.adapter.send(frame)
     }
 
@@ -361,6 +388,7 @@ impl Bus {
             self.check_interrupt()?;
             let wait = until.saturating_duration_since(self.adapter.now()).min(SLICE);
             if let Some(received) = self.adapter.receive(wait)? {
+                self.tell(What::Received(received.frame), received.here)?;
                 if self.is_new(&received) {
                     self.note(&received.frame)?;
                     return Ok(Some(received));

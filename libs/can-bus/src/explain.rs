@@ -46,8 +46,8 @@ fn lss_request(data: &[u8; 8]) -> String {
             format!("activate bit timing: switch delay {delay} ms")
         }
         Request::StoreConfiguration => "store configuration".into(),
-        Request::Select(address_part, number) => {
-            format!("switch state selective: {} {number:08X}", part(address_part))
+        Request::Select(part, number) => {
+            format!("switch state selective: {part} {number:08X}")
         }
         Request::Identify(key, number) => {
             let name = match key {
@@ -62,7 +62,7 @@ fn lss_request(data: &[u8; 8]) -> String {
         }
         Request::IdentifyNonConfigured => "identify non-configured remote slave".into(),
         Request::Fastscan(step) => fastscan(step),
-        Request::Inquire(address_part) => format!("inquire {}", part(address_part)),
+        Request::Inquire(part) => format!("inquire {part}"),
         Request::InquireNodeId => "inquire node-ID".into(),
     }
 }
@@ -74,16 +74,15 @@ fn fastscan(FastscanStep { id_number, bit_check, sub, next }: FastscanStep) -> S
     let Some(scanned) = AddressPart::new(sub).filter(|_| bit_check < 32) else {
         return format!("Fastscan: impossible (bit {bit_check}, part {sub})");
     };
-    let name = part(scanned);
     match AddressPart::new(next) {
         Some(_) if bit_check == 0 && next < sub => {
-            format!("Fastscan: {name} {id_number:08X}? If so, to configuration state")
+            format!("Fastscan: {scanned} {id_number:08X}? If so, to configuration state")
         }
         Some(next) if bit_check == 0 && next != scanned => {
-            format!("Fastscan: {name} {id_number:08X}? Then the {}", part(next))
+            format!("Fastscan: {scanned} {id_number:08X}? Then the {next}")
         }
-        _ if bit_check == 31 => format!("Fastscan: {name}, bit 31 of {id_number:08X}?"),
-        _ => format!("Fastscan: {name}, bits 31..{bit_check} of {id_number:08X}?"),
+        _ if bit_check == 31 => format!("Fastscan: {scanned}, bit 31 of {id_number:08X}?"),
+        _ => format!("Fastscan: {scanned}, bits 31..{bit_check} of {id_number:08X}?"),
     }
 }
 
@@ -108,22 +107,11 @@ fn lss_response(data: &[u8; 8]) -> String {
         0x44 => "slave selected: now in configuration state".into(),
         0x4F => "identify slave: that is me".into(),
         0x50 => "identify non-configured slave: that is me".into(),
-        0x5A..=0x5D => {
-            let name = AddressPart::new(command - 0x5A).map_or("", part);
-            format!("{name} is {number:08X}")
+        0x5A..=0x5D if let Some(part) = AddressPart::new(command - 0x5A) => {
+            format!("{part} is {number:08X}")
         }
         0x5E => format!("node-ID is {}", node_id(error)),
         _ => format!("answer {command:02X}, unknown"),
-    }
-}
-
-/// The name of a part of an LSS address.
-pub fn part(part: AddressPart) -> &'static str {
-    match part {
-        AddressPart::VendorId => "vendor-ID",
-        AddressPart::ProductCode => "product code",
-        AddressPart::RevisionNumber => "revision number",
-        AddressPart::SerialNumber => "serial number",
     }
 }
 
@@ -162,17 +150,25 @@ fn nmt_command(data: &[u8]) -> String {
 }
 
 fn error_control(node: u16, data: &[u8]) -> String {
+    match *data {
+        [0] => format!("boot-up of node {node}"),
+        [state] => format!("heartbeat of node {node}: {}", nmt_state(state)),
+        _ => format!("heartbeat of node {node}: unknown"),
+    }
+}
+
+/// The NMT state in a heartbeat (CiA 301, 7.2.8.3.2).
+pub fn nmt_state(byte: u8) -> &'static str {
     const OPERATIONAL: u8 = nmt::State::Operational as u8;
     const PRE_OPERATIONAL: u8 = nmt::State::PreOperational as u8;
     const STOPPED: u8 = nmt::State::Stopped as u8;
-    let state = match data {
-        [0] => return format!("boot-up of node {node}"),
-        [OPERATIONAL] => "operational",
-        [PRE_OPERATIONAL] => "pre-operational",
-        [STOPPED] => "stopped",
-        _ => "unknown state",
-    };
-    format!("heartbeat of node {node}: {state}")
+    match byte {
+        0 => "boot-up",
+        OPERATIONAL => "operational",
+        PRE_OPERATIONAL => "pre-operational",
+        STOPPED => "stopped",
+        _ => "unknown",
+    }
 }
 
 fn pdo(id: u16) -> String {

@@ -2,14 +2,53 @@
 
 mod block;
 
-use std::time::Duration;
+use std::{fmt, time::Duration};
 
 use crate::{bus::Bus, stop::Stop};
 
 pub use block::{abort, download_blocks};
 
-/// The result of a transfer; an error says in words why it failed.
-pub type Outcome<T> = Result<Result<T, String>, Stop>;
+/// The result of a transfer.
+pub type Outcome<T> = Result<Result<T, Error>, Stop>;
+
+/// Why a transfer failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Error {
+    NoAnswer,
+    /// The abort code of the server (CiA 301, 7.2.4.3.17).
+    Abort(u32),
+    /// What else is wrong, in words.
+    Other(String),
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let code = match self {
+            Self::NoAnswer => return f.write_str("no answer"),
+            Self::Other(words) => return f.write_str(words),
+            Self::Abort(code) => *code,
+        };
+        let meaning = match code {
+            0x0601_0000 => "the object does not support this access",
+            0x0601_0001 => "the object can only be written",
+            0x0601_0002 => "the object can only be read",
+            0x0602_0000 => "there is no such object",
+            0x0604_0041 => "the object cannot be mapped",
+            0x0604_0042 => "the mapped objects are too long for a PDO",
+            0x0604_0043 => "the parameters are incompatible",
+            0x0606_0000 => "the hardware fails",
+            0x0607_0010 | 0x0607_0012 | 0x0607_0013 => "the length is wrong",
+            0x0609_0011 => "there is no such sub-index",
+            0x0609_0030 => "the value is invalid",
+            0x0609_0031 => "the value is too high",
+            0x0609_0032 => "the value is too low",
+            0x0800_0020 => "it cannot be stored",
+            0x0800_0021 | 0x0800_0022 => "not in the present state of the device",
+            _ => return write!(f, "abort {code:08X}"),
+        };
+        write!(f, "{meaning} (abort {code:08X})")
+    }
+}
 
 /// The command specifier of an abort.
 const ABORT: u8 = 0x80;
@@ -27,7 +66,7 @@ fn ask(
     let cob_id = 0x580 + u16::from(node);
     bus.send_to(0x600 + u16::from(node), &request)?;
     let answer = bus.wait_for(wait, |frame| frame.cob_id() == cob_id)?;
-    let Some(answer) = answer else { return Ok(Err("no answer".into())) };
+    let Some(answer) = answer else { return Ok(Err(Error::NoAnswer)) };
     Ok(match <[u8; 8]>::try_from(answer.frame.data()) {
         Ok(bytes) if bytes[0] != ABORT && is_answer(&bytes) => Ok(bytes),
         _ => Err(error_of(answer.frame.data())),
@@ -35,10 +74,10 @@ fn ask(
 }
 
 /// The error in an answer that is not the expected one.
-fn error_of(answer: &[u8]) -> String {
+fn error_of(answer: &[u8]) -> Error {
     match *answer {
-        [ABORT, _, _, _, a, b, c, d] => format!("abort {:08X}", u32::from_le_bytes([a, b, c, d])),
-        _ => format!("an unexpected answer {answer:02X?}"),
+        [ABORT, _, _, _, a, b, c, d] => Error::Abort(u32::from_le_bytes([a, b, c, d])),
+        _ => Error::Other(format!("an unexpected answer {answer:02X?}")),
     }
 }
 
@@ -87,7 +126,7 @@ pub fn read(bus: &mut Bus, node: u8, index: u16, sub_index: u8) -> Outcome<Vec<u
         }
         toggle ^= 0x10;
     }
-    Ok(Err(format!("more than {LONGEST} bytes")))
+    Ok(Err(Error::Other(format!("more than {LONGEST} bytes"))))
 }
 
 /// Reads a number of one to four bytes.
@@ -154,28 +193,4 @@ pub fn download_segments(
         progress(done);
     }
     Ok(Ok(()))
-}
-
-/// The error of a transfer, with the meaning of an abort code (CiA 301, 7.2.4.3.17).
-pub fn in_words(error: &str) -> String {
-    let code = error.strip_prefix("abort ").and_then(|code| u32::from_str_radix(code, 16).ok());
-    let meaning = match code {
-        Some(0x0601_0000) => "the object does not support this access",
-        Some(0x0601_0001) => "the object can only be written",
-        Some(0x0601_0002) => "the object can only be read",
-        Some(0x0602_0000) => "there is no such object",
-        Some(0x0604_0041) => "the object cannot be mapped",
-        Some(0x0604_0042) => "the mapped objects are too long for a PDO",
-        Some(0x0604_0043) => "the parameters are incompatible",
-        Some(0x0606_0000) => "the hardware fails",
-        Some(0x0607_0010 | 0x0607_0012 | 0x0607_0013) => "the length is wrong",
-        Some(0x0609_0011) => "there is no such sub-index",
-        Some(0x0609_0030) => "the value is invalid",
-        Some(0x0609_0031) => "the value is too high",
-        Some(0x0609_0032) => "the value is too low",
-        Some(0x0800_0020) => "it cannot be stored",
-        Some(0x0800_0021 | 0x0800_0022) => "not in the present state of the device",
-        _ => return error.to_owned(),
-    };
-    format!("{meaning} ({error})")
 }

@@ -47,7 +47,7 @@ impl Adapter for Server {
 }
 
 /// What the client reads from 1008h.
-fn read(answers: &[[u8; 8]]) -> Result<Vec<u8>, String> {
+fn read(answers: &[[u8; 8]]) -> Result<Vec<u8>, sdo::Error> {
     let server = Server { answers: answers.iter().copied().collect(), sent: VecDeque::new() };
     let mut bus = Bus::new(Box::new(server), Duration::ZERO, Arc::default());
     sdo::read(&mut bus, 5, 0x1008, 0).expect("a bus")
@@ -78,5 +78,5 @@ fn a_last_segment_that_does_not_say_its_length_is_as_long_as_announced() {
 fn an_abort_within_a_value_is_told() {
     let start = [0x41, 0x08, 0x10, 0, 9, 0, 0, 0];
     let abort = [0x80, 0x08, 0x10, 0, 0, 0, 0, 8];
-    assert_eq!(read(&[start, abort]), Err("abort 08000000".into()));
+    assert_eq!(read(&[start, abort]), Err(sdo::Error::Abort(0x0800_0000)));
 }

@@ -1,16 +1,15 @@
 //! LSS addresses and numbers as a person writes them, and as texts name them.
 
-use std::ops::RangeInclusive;
+use std::{fmt::Display, ops::RangeInclusive};
 
 use canopen_node::{NodeId, lss::Address};
 
-/// The four parts in hexadecimal: `00000000:4C535334:00010000:515884C7`.
-pub fn text(address: &Address) -> String {
-    let Address { vendor_id, product_code, revision_number, serial_number } = address;
-    format!("{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
+/// Things in a sentence, with commas between them.
+pub fn list<T: Display>(things: impl IntoIterator<Item = T>) -> String {
+    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// The same of parts that may not be known.
+/// The parts of an LSS address that may not be known.
 pub fn kind_text(parts: &[Option<u32>]) -> String {
     let part = |part: &Option<u32>| part.map_or("any".into(), |part| format!("{part:08X}"));
     parts.iter().map(part).collect::<Vec<_>>().join(":")
@@ -24,12 +23,12 @@ pub fn is_of(address: &Address, kind: [Option<u32>; 4]) -> bool {
 
 /// Parts of LSS addresses in hexadecimal, with commas between them.
 pub fn parts(numbers: &[u32]) -> String {
-    numbers.iter().map(|number| format!("{number:08X}")).collect::<Vec<_>>().join(", ")
+    list(numbers.iter().map(|number| format!("{number:08X}")))
 }
 
 /// A node-ID in words.
 pub fn id_text(id: Option<NodeId>) -> String {
-    id.map_or_else(|| "none".to_owned(), |id| id.get().to_string())
+    id.map_or("none".into(), |id| id.to_string())
 }
 
 /// `1 board`, `2 boards`.
@@ -38,7 +37,7 @@ pub fn counted(count: usize, what: &str) -> String {
     format!("{count} {what}{plural}")
 }
 
-/// An LSS address as [`text`] writes it.
+/// An LSS address, as its [`Display`] writes it.
 pub fn address(text: &str) -> Result<Address, String> {
     let part = |part: &str| u32::from_str_radix(part.trim_start_matches("0x"), 16).ok();
     let parts: Option<Vec<u32>> = text.split(':').map(part).collect();
@@ -115,7 +114,7 @@ mod tests {
     #[test]
     fn an_address_is_read_as_it_is_written() {
         let written = "00000000:4C535334:00010000:515884C7";
-        assert_eq!(address(written).as_ref().map(text), Ok(written.to_owned()));
+        assert_eq!(address(written).map(|address| address.to_string()), Ok(written.to_owned()));
         assert_eq!(address("0x1:2:3:4").map(|address| address.vendor_id), Ok(1));
         for wrong in ["", "1:2:3", "1:2:3:4:5", "1:2:3:x"] {
             assert!(address(wrong).is_err(), "{wrong}");

@@ -273,7 +273,9 @@ impl Command {
             Self::Find { json, .. } | Self::Inquire { json, .. } | Self::SetId { json, .. } => {
                 *json
             }
+            Self::List { json, watch, .. } => *json && !watch,
             Self::Assign(Assign { json, .. }) | Self::Identify(Ranges { json, .. }) => *json,
+            Self::Apply(Apply { json, .. }) | Self::Update(Update { json, .. }) => *json,
             _ => false,
         }
     }

@@ -10,6 +10,9 @@ use canopen_node::{
 use lss_master::Error;
 use thiserror::Error;
 
+/// The outcome of a step of a command.
+pub type Result<T = (), E = Failure> = std::result::Result<T, E>;
+
 /// Why a command failed.
 #[derive(Debug, Error)]
 pub enum Failure {

@@ -16,5 +16,4 @@ pub use arguments::{Arguments, Command};
 pub use commands::adapters;
 pub use failure::Failure;
 pub use progress::Shows;
-pub use recorder::Recorder;
 pub use session::{Screen, Session};

@@ -7,13 +7,12 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::Duration,
 };
 
 use clap::{CommandFactory, Parser, error::ErrorKind};
 
-use can_bus::{adapter, bus::Bus, person::Person, stop::Stop};
-use lss::{Arguments, Command, Failure, Recorder, Screen, Session, Shows};
+use can_bus::{adapter, person::Person, stop::Stop};
+use lss::{Arguments, Command, Failure, Screen, Session, Shows};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -83,19 +82,14 @@ fn run(arguments: &Arguments, is_interrupted: Arc<AtomicBool>) -> Result<(), Fai
         return Err(Stop::NoAdapter(words).into());
     }
     let adapter = place.connect()?;
-    let mut adapter = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain)?;
-    let record = arguments.svg.is_some().then(|| adapter.keep());
-    let latency = Duration::from_millis(arguments.latency.into());
-    let bus = Bus::new(Box::new(adapter), latency, is_interrupted);
-    let mut out = io::stdout();
-    let is_screen = out.is_terminal() && !arguments.explain && !is_dumb();
+    let is_screen = io::stdout().is_terminal() && !arguments.explain && !is_dumb();
     let shows = match io::stderr().is_terminal() && !is_dumb() {
         _ if arguments.explain => Shows::Nothing,
         true => Shows::Line,
         false => Shows::Lines,
     };
-    let mut session = Session::new(bus, &mut out, shows);
-    session.record = record;
+    let out = Box::new(io::stdout());
+    let mut session = Session::new(adapter, arguments, is_interrupted, out, shows)?;
     session.screen = is_screen.then_some(screen as Screen);
     if io::stdin().is_terminal() {
         session.person = Person::at_standard_input();

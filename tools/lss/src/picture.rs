@@ -293,11 +293,10 @@ pub fn date_and_time(since_1970: Duration) -> String {
 
 #[cfg(test)]
 mod tests {
-    use can_bus::svg::MOMENT;
+    use can_bus::{bus::What, svg::MOMENT};
     use canopen_node::Frame;
 
     use super::*;
-    use crate::recorder::What;
 
     #[test]
     fn a_time_has_its_date() {

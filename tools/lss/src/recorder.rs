@@ -1,98 +1,68 @@
-//! An adapter that writes down each frame: for `candump` and in words.
+//! The frames of a run: as a log of `candump`, in words, and for a picture.
 
 use std::{
     cell::RefCell,
     fs::File,
     io::Write,
-    path::Path,
     rc::Rc,
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use can_bus::{
-    adapter::{Adapter, Mode, Received, Status},
+    bus::{Bus, What},
     explain::explain,
     stop::Stop,
 };
-use canopen_node::{BitRate, Frame};
+use canopen_node::Frame;
+
+use crate::{arguments::Arguments, failure::Result};
 
 /// The name of the bus in a log.
 const INTERFACE: &str = "can0";
 
-/// What an adapter did, with the time since the start.
+/// What the adapter did, with the time since the start.
 #[derive(Clone, Debug)]
 pub struct Entry {
     pub at: Duration,
     pub what: What,
 }
 
-#[derive(Clone, Debug)]
-pub enum What {
-    Opened(BitRate),
-    Sent(Frame),
-    Received(Frame),
-}
-
 /// The record of a run, for a picture.
-#[derive(Clone, Debug, Default)]
 pub struct Record {
     pub entries: Rc<RefCell<Vec<Entry>>>,
     /// The time of day at the start, since 1970.
     pub time_of_day: Duration,
 }
 
-/// An adapter, and the record of its frames.
-pub struct Recorder {
-    adapter: Box<dyn Adapter>,
-    log: Option<File>,
-    explains: bool,
-    start: Instant,
-    /// The time of day at the start.
-    time_of_day: Duration,
-    record: Option<Record>,
-}
-
-impl Recorder {
-    /// Records to a new file `log`, and in words to the standard error if it `explains`.
-    pub fn new(
-        adapter: Box<dyn Adapter>,
-        log: Option<&Path>,
-        explains: bool,
-    ) -> Result<Self, Stop> {
-        let create = |path: &Path| {
-            let file = File::create(path);
-            file.map_err(|error| Stop::Bench(format!("cannot write {}: {error}", path.display())))
-        };
-        let log = log.map(create).transpose()?;
-        let start = adapter.now();
-        let time_of_day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { adapter, log, explains, start, time_of_day, record: None })
+/// Writes each frame down that comes or goes from now on: to a new file and to the standard error, if the user says so.
+/// Returns the record that a picture needs.
+pub fn record(bus: &mut Bus, arguments: &Arguments) -> Result<Option<Record>> {
+    let mut log = None;
+    if let Some(path) = &arguments.log {
+        let cannot = |error| Stop::Bench(format!("cannot write {}: {error}", path.display()));
+        log = Some(File::create(path).map_err(cannot)?);
     }
-
-    /// Keeps everything from now on.
-    pub fn keep(&mut self) -> Record {
-        let record = Record { time_of_day: self.time_of_day, ..Record::default() };
-        self.record.insert(record).clone()
-    }
-
-    fn note(&self, here: Instant, what: What) {
-        if let Some(Record { entries, .. }) = &self.record {
-            let at = here.saturating_duration_since(self.start);
+    let time_of_day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let entries = Rc::<RefCell<Vec<Entry>>>::default();
+    let record = Record { entries: Rc::clone(&entries), time_of_day };
+    let (start, explains, draws) = (bus.time(), arguments.explain, arguments.svg.is_some());
+    bus.watch(move |what, now| {
+        let at = now.saturating_duration_since(start);
+        if let What::Sent(frame) | What::Received(frame) = &what {
+            if let Some(log) = &mut log {
+                log.write_all(candump(frame, time_of_day + at).as_bytes())
+                    .map_err(|error| Stop::Bench(format!("cannot write the log: {error}")))?;
+            }
+            if explains {
+                eprintln!("{}", line(frame, at));
+            }
+        }
+        if draws {
             entries.borrow_mut().push(Entry { at, what });
         }
-    }
-
-    fn record(&mut self, frame: &Frame, here: Instant) -> Result<(), Stop> {
-        let span = here.saturating_duration_since(self.start);
-        if let Some(log) = &mut self.log {
-            log.write_all(candump(frame, self.time_of_day + span).as_bytes())
-                .map_err(|error| Stop::Bench(format!("cannot write the log: {error}")))?;
-        }
-        if self.explains {
-            eprintln!("{}", line(frame, span));
-        }
         Ok(())
-    }
+    });
+    Ok(draws.then_some(record))
 }
 
 /// A line of `candump -l`.
@@ -112,66 +82,6 @@ pub fn words(frame: &Frame) -> String {
     let data: Vec<String> = frame.data().iter().map(|byte| format!("{byte:02X}")).collect();
     let meaning = explain(frame.cob_id(), frame.data());
     format!("{:03X}  {:23}  {meaning}", frame.cob_id(), data.join(" "))
-}
-
-impl Adapter for Recorder {
-    fn open(&mut self, rate: BitRate, mode: Mode) -> Result<(), Stop> {
-        self.adapter.open(rate, mode)?;
-        self.note(self.adapter.now(), What::Opened(rate));
-        Ok(())
-    }
-
-    fn close(&mut self) -> Result<(), Stop> {
-        self.adapter.close()
-    }
-
-    fn send(&mut self, frame: &Frame) -> Result<(), Stop> {
-        let now = self.adapter.now();
-        self.record(frame, now)?;
-        self.note(now, What::Sent(*frame));
-        self.adapter.send(frame)
-    }
-
-    fn receive(&mut self, wait: Duration) -> Result<Option<Received>, Stop> {
-        let received = self.adapter.receive(wait)?;
-        if let Some(received) = &received {
-            self.record(&received.frame, received.here)?;
-            self.note(received.here, What::Received(received.frame));
-        }
-        Ok(received)
-    }
-
-    fn status(&mut self) -> Result<Option<Status>, Stop> {
-        self.adapter.status()
-    }
-
-    fn settle(&mut self) -> Result<(), Stop> {
-        self.adapter.settle()
-    }
-
-    fn now(&self) -> Instant {
-        self.adapter.now()
-    }
-
-    fn clock(&self) -> &'static str {
-        self.adapter.clock()
-    }
-
-    fn fixed_rate(&self) -> Option<BitRate> {
-        self.adapter.fixed_rate()
-    }
-
-    fn latency(&self) -> Option<Duration> {
-        self.adapter.latency()
-    }
-
-    fn description(&self) -> String {
-        self.adapter.description()
-    }
-
-    fn doubts(&self) -> Vec<String> {
-        self.adapter.doubts()
-    }
 }
 
 #[cfg(test)]

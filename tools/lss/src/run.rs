@@ -10,16 +10,16 @@ use can_bus::{
 use crate::{
     arguments::{Arguments, Command},
     commands,
-    failure::Failure,
+    failure::{Failure, Result},
     network::board,
     picture::{self, Caption},
     recorder::Record,
     session::{DEFAULT_RATE, Session},
 };
 
-impl Session<'_> {
+impl Session {
     /// Carries out the command, leaves the bus, and draws what happened.
-    pub fn run(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+    pub fn run(&mut self, arguments: &Arguments) -> Result {
         let Some(path) = &arguments.svg else { return self.work(arguments) };
         let cannot = |error| Stop::Bench(format!("cannot write {}: {error}", path.display()));
         // Before the work: a file that is there keeps its content.
@@ -38,7 +38,7 @@ impl Session<'_> {
         outcome
     }
 
-    fn work(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+    fn work(&mut self, arguments: &Arguments) -> Result {
         // A running network has an NMT master and SDO clients.
         self.bus.mind(Masters::Lss);
         self.bus.set_pace(Pace::Quick);
@@ -69,17 +69,17 @@ impl Session<'_> {
     }
 
     /// Carries out the command, and prints its result instead of its words.
-    fn in_json(&mut self, arguments: &Arguments) -> Result<(), Failure> {
-        let out = std::mem::replace(&mut self.out, Box::leak(Box::new(std::io::sink())));
+    fn in_json(&mut self, arguments: &Arguments) -> Result {
+        let out = std::mem::replace(&mut self.out, Box::new(std::io::sink()));
         let outcome = self.dispatch(arguments);
         self.out = out;
-        if !self.result.is_null() {
-            writeln!(self.out, "{:#}", self.result)?;
+        if !self.result.is_empty() {
+            writeln!(self.out, "{}", self.result)?;
         }
         outcome
     }
 
-    fn dispatch(&mut self, arguments: &Arguments) -> Result<(), Failure> {
+    fn dispatch(&mut self, arguments: &Arguments) -> Result {
         let rate = arguments.bit_rate.or(self.bus.fixed_rate()).unwrap_or(DEFAULT_RATE);
         match &arguments.command {
             Command::Find { ask, .. } => return commands::find(self, rate, *ask),
@@ -101,7 +101,7 @@ impl Session<'_> {
             Command::Read(object) => commands::read(self, object),
             Command::Write { object, value } => commands::write(self, object, value),
             Command::List { watch: true, json, .. } => commands::watch(self, *json),
-            Command::List { json, ask, .. } => commands::list(self, *json, *ask),
+            Command::List { ask, .. } => commands::list(self, *ask),
             Command::Assign(assign) => commands::assign(self, assign),
             Command::Update(update) => commands::update(self, update),
             Command::SetRate { rate, delay } => commands::set_rate(self, *rate, *delay),
@@ -118,7 +118,7 @@ impl Session<'_> {
 }
 
 /// What became of a command while the answers of a device were passed over.
-fn short_answer(outcome: Result<(), Failure>, len: usize) -> Result<(), Failure> {
+fn short_answer(outcome: Result, len: usize) -> Result {
     let words = format!(
         "a device answers LSS requests with {len} bytes, and not with 8 (CiA 305): it was passed over. Its firmware must be \
          mended, or `lss raw` configures it, alone on the bus"

@@ -1,18 +1,25 @@
 //! The bus, the person, and the place of the results, as a command has them.
 
-use std::{io::Write, time::Duration};
+use std::{
+    io::{self, Write},
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
+};
 
 use can_bus::{
+    adapter::Adapter,
     bus::Bus,
     person::{PATIENCE, Person},
 };
 use canopen_node::{BitRate, lss::Request};
 use lss_master::Procedure;
+use serde::Serialize;
 
 use crate::{
-    failure::Failure,
+    arguments::Arguments,
+    failure::Result,
     progress::{Progress, Shows},
-    recorder::Record,
+    recorder::{self, Record},
 };
 
 /// The bit rate of new boards.
@@ -28,9 +35,9 @@ pub const GLANCE: Duration = Duration::from_millis(50);
 pub type Screen = fn() -> (u16, u16);
 
 /// The bus, and where the results go.
-pub struct Session<'a> {
+pub struct Session {
     pub bus: Bus,
-    pub out: &'a mut dyn Write,
+    pub out: Box<dyn Write>,
     pub progress: Progress,
     pub person: Person,
     /// The terminal that the results go to; `None` if they go elsewhere.
@@ -41,35 +48,42 @@ pub struct Session<'a> {
     pub slow_answer: Option<Duration>,
     /// The serial numbers that the person was told to be there twice.
     pub twice: Vec<u32>,
-    /// What a command has found or done, which is printed as JSON.
-    pub result: serde_json::Value,
+    /// What a command has found or done, as JSON.
+    pub result: String,
     /// What the person was told of the adapter.
     pub remarks: Vec<String>,
     /// What the adapter did, for a picture.
     pub record: Option<Record>,
 }
 
-impl<'a> Session<'a> {
-    pub fn new(bus: Bus, out: &'a mut dyn Write, shows: Shows) -> Self {
-        let progress = Progress::new(shows);
-        let person = Person::absent();
-        Self {
+impl Session {
+    /// A session on this adapter, whose results go to `out`.
+    pub fn new(
+        adapter: Box<dyn Adapter>,
+        arguments: &Arguments,
+        is_interrupted: Arc<AtomicBool>,
+        out: Box<dyn Write>,
+        shows: Shows,
+    ) -> Result<Self> {
+        let latency = Duration::from_millis(arguments.latency.into());
+        let mut bus = Bus::new(adapter, latency, is_interrupted);
+        Ok(Self {
+            record: recorder::record(&mut bus, arguments)?,
             bus,
             out,
-            progress,
-            person,
+            progress: Progress::new(shows),
+            person: Person::absent(),
             screen: None,
             all_wait: false,
             slow_answer: None,
             twice: Vec::new(),
-            result: serde_json::Value::Null,
+            result: String::new(),
             remarks: Vec::new(),
-            record: None,
-        }
+        })
     }
 
     /// Asks the person on the standard error, with all boards in LSS waiting state; `None` if nobody answers.
-    pub fn ask(&mut self, question: &str) -> Result<Option<String>, Failure> {
+    pub fn ask(&mut self, question: &str) -> Result<Option<String>> {
         if !self.person.is_present() {
             return Ok(None);
         }
@@ -78,10 +92,16 @@ impl<'a> Session<'a> {
         eprintln!("{question}");
         let Self { bus, person, .. } = self;
         let until = bus.time() + PATIENCE;
-        person.answer(|| -> Result<bool, Failure> {
+        person.answer(|| -> Result<bool> {
             bus.pass(GLANCE)?;
             Ok(bus.time() < until)
         })
+    }
+
+    /// Notes what a command has found or done, which `--json` prints in place of all words.
+    pub fn found(&mut self, result: &impl Serialize) -> Result {
+        self.result = serde_json::to_string_pretty(result).map_err(io::Error::from)?;
+        Ok(())
     }
 
     /// Tells the person what must be known of the adapter.
@@ -95,10 +115,7 @@ impl<'a> Session<'a> {
     }
 
     /// Lets a Ctrl-C wait until the work is done.
-    pub fn uninterrupted<T>(
-        &mut self,
-        work: impl FnOnce(&mut Self) -> Result<T, Failure>,
-    ) -> Result<T, Failure> {
+    pub fn uninterrupted<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         self.bus.check_interrupt()?;
         self.bus.hold_interrupt(true);
         let outcome = work(self);
@@ -113,7 +130,7 @@ impl<'a> Session<'a> {
     }
 
     /// Carries out a procedure of the LSS master.
-    pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, Failure> {
+    pub fn carry_out<P: Procedure>(&mut self, procedure: P) -> Result<P::Output> {
         let outcome = self.bus.carry_out(procedure)?;
         if let Some(number) = self.bus.serial_number_twice()
             && !self.twice.contains(&number)

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use canopen_node::Frame;
 
-use super::{Outcome, ask, error_of};
+use super::{Error, Outcome, ask, error_of};
 use crate::{
     bus::{Bus, bits},
     stop::Stop,
@@ -51,7 +51,7 @@ pub fn download_blocks(
         };
         repeats += usize::from(usize::from(acknowledged) < count);
         if repeats > REPEATS {
-            return Ok(Err("segments are lost again and again".into()));
+            return Ok(Err(Error::Other("segments are lost again and again".into())));
         }
         size = next;
         done += usize::from(acknowledged).min(count);
@@ -92,7 +92,7 @@ fn send_block(bus: &mut Bus, node: u8, segments: &[&[u8]], ends: bool) -> Outcom
         bus.send_to(0x600 + u16::from(node), &last)?;
         answer = bus.wait_for(patience, is_answer)?;
     }
-    let Some(answer) = answer else { return Ok(Err("no answer".into())) };
+    let Some(answer) = answer else { return Ok(Err(Error::NoAnswer)) };
     Ok(match *answer.frame.data() {
         [0xA2, acknowledged, size, ..] if is_size(size) => Ok((acknowledged, size)),
         ref data => Err(error_of(data)),

@@ -1,5 +1,7 @@
 //! The LSS address: the four numbers of the identity object 1018h that identify a slave.
 
+use core::fmt;
+
 /// A slave's LSS address, which is its identity object 1018h (CiA 301).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -26,6 +28,18 @@ pub enum AddressPart {
     SerialNumber = 3,
 }
 
+/// The name: `vendor-ID`.
+impl fmt::Display for AddressPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::VendorId => "vendor-ID",
+            Self::ProductCode => "product code",
+            Self::RevisionNumber => "revision number",
+            Self::SerialNumber => "serial number",
+        })
+    }
+}
+
 impl AddressPart {
     /// The part with the number 0..=3, as Fastscan's LSSSub selects it.
     pub const fn new(number: u8) -> Option<Self> {
@@ -41,6 +55,14 @@ impl AddressPart {
     /// The part after this one; the vendor-ID after the last.
     pub(super) fn next(self) -> Self {
         Self::new(self as u8 + 1).unwrap_or(Self::VendorId)
+    }
+}
+
+/// The four numbers in hexadecimal: `00000000:4C535334:00010000:515884C7`.
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [vendor_id, product_code, revision_number, serial_number] = (*self).into();
+        write!(f, "{vendor_id:08X}:{product_code:08X}:{revision_number:08X}:{serial_number:08X}")
     }
 }
 

@@ -5,10 +5,10 @@ use std::{fs, path::Path};
 use canopen_node::{BitRate, NodeId};
 
 use crate::{
-    address::{self, counted},
+    address::counted,
     arguments::Apply,
     commands::set_rate,
-    failure::Failure,
+    failure::{Failure, Result},
     plan::{
         dcf,
         differences::{Plan, print_unknown},
@@ -29,11 +29,7 @@ const UNFINISHED: &str = ".unfinished";
 const MARK: &str = "A run of `lss apply` has not finished. The next one lets all boards store again, and goes on.\n";
 
 /// Prints the plan, and carries it out. The user has `given` the bit rate at which the boards are now.
-pub fn apply(
-    session: &mut Session<'_>,
-    given: Option<BitRate>,
-    arguments: &Apply,
-) -> Result<(), Failure> {
+pub fn apply(session: &mut Session, given: Option<BitRate>, arguments: &Apply) -> Result {
     // Wrong files do not concern the boards.
     session.all_wait = true;
     let files = Files::read(&arguments.files)?;
@@ -56,10 +52,8 @@ pub fn apply(
     run.session.progress.clear();
     let rate = run.session.bus.rate();
     let plan = Plan::new(&run.files, &run.found, &values, rate, stores_again);
-    match arguments.json {
-        true => plan.print_json(run.session)?,
-        false => plan.print(run.session)?,
-    }
+    run.session.found(&plan)?;
+    plan.print(run.session)?;
     if !arguments.plan && plan.differs() {
         fs::write(&mark, MARK).map_err(|error| {
             let mark = mark.display();
@@ -84,7 +78,7 @@ pub fn apply(
     }
     run.found.problems.append(&mut run.found.left_out);
     if let Some(folder) = &arguments.write_dcf {
-        run.write_dcfs(folder, arguments.json)?;
+        run.write_dcfs(folder)?;
     }
     Failure::of(&run.found.problems)?;
     if arguments.plan && plan.differs() {
@@ -93,23 +87,20 @@ pub fn apply(
             plan.count()
         )));
     }
-    if !arguments.json {
-        writeln!(run.session.out, "the network is as the files say")?;
-    }
-    Ok(())
+    Ok(writeln!(run.session.out, "the network is as the files say")?)
 }
 
 /// A run, with what is wanted and what is found.
-struct Run<'s, 'a> {
-    session: &'s mut Session<'a>,
+struct Run<'s> {
+    session: &'s mut Session,
     files: Files,
     found: Found,
     manner: Manner,
 }
 
-impl Run<'_, '_> {
+impl Run<'_> {
     /// Compares the values of the nodes that can be asked.
-    fn compare(&mut self) -> Result<Vec<Values>, Failure> {
+    fn compare(&mut self) -> Result<Vec<Values>> {
         let mut all = Vec::new();
         for (node, place) in self.files.nodes.iter().zip(self.found.places.clone()) {
             let mut values = Values::not_compared(node);
@@ -127,7 +118,7 @@ impl Run<'_, '_> {
     }
 
     /// Carries the plan out: the node-IDs, the bit rate, the values. What is left undone is among the problems.
-    fn carry_out(&mut self) -> Result<(), Failure> {
+    fn carry_out(&mut self) -> Result {
         let before: Vec<_> =
             self.found.places.iter().map(|place| place.and_then(|place| place.id)).collect();
         let rate = self.session.bus.rate();
@@ -157,7 +148,6 @@ impl Run<'_, '_> {
                     self.found.leave_out(node, &done.left_out);
                     let words = words(&done, before != Some(id), self.manner.stores_again);
                     if !words.is_empty() {
-                        let address = address::text(&address);
                         let words = words.join(", ");
                         writeln!(self.session.out, "{}  {address}  {words}", node.words())?;
                     }
@@ -169,24 +159,23 @@ impl Run<'_, '_> {
     }
 
     /// Gives each board of the files its node-ID, and lets it store the bit `rate`, too, if it is known.
-    fn give_node_ids(&mut self, rate: Option<BitRate>) -> Result<(), Failure> {
+    fn give_node_ids(&mut self, rate: Option<BitRate>) -> Result {
         let nodes = &self.files.nodes;
         let mut node_ids = NodeIds::new(self.session, &self.found, rate);
         let Found { places, problems, .. } = &mut self.found;
         let ids: Vec<NodeId> = nodes.iter().map(|node| node.id).collect();
-        let tell = |_: &mut Session<'_>, number: usize, address, fate| {
+        let tell = |_: &mut Session, number: usize, address, fate| {
             let words = nodes[number].words();
             match fate {
                 Fate::Had | Fate::Given { .. } => {}
                 Fate::Taken => problems.push(format!(
                     "{words}: another board has node-ID {}. Give it another one: lss set-id ID --reset --store --address \
                      V:P:R:S",
-                    ids[number].get()
+                    ids[number]
                 )),
                 Fate::Failed(why) => problems.push(format!(
-                    "{words}: {why}. Board {}: is it still there, and not locked while NMT operational? A further run goes \
-                     on",
-                    address::text(&address)
+                    "{words}: {why}. Board {address}: is it still there, and not locked while NMT operational? A further run \
+                     goes on"
                 )),
             }
             Ok(())
@@ -194,21 +183,18 @@ impl Run<'_, '_> {
         node_ids.give_all(self.session, &ids, places, self.manner.stores_again, tell)
     }
 
-    fn write_dcfs(&mut self, folder: &Path, is_quiet: bool) -> Result<(), Failure> {
+    fn write_dcfs(&mut self, folder: &Path) -> Result {
         for (node, place) in self.files.nodes.iter().zip(&self.found.places) {
             let Some(Place { address, id: Some(id), is_shared: false }) = place else { continue };
             let Some(sheet) = &node.sheet else {
-                if !is_quiet {
-                    let words = node.words();
-                    writeln!(
-                        self.session.out,
-                        "no DCF of {words}: the files have no data sheet of it (eds)"
-                    )?;
-                }
+                let words = node.words();
+                writeln!(
+                    self.session.out,
+                    "no DCF of {words}: the files have no data sheet of it (eds)"
+                )?;
                 continue;
             };
             match dcf::write(self.session, folder, node, sheet, address, *id) {
-                Ok(_) if is_quiet => {}
                 Ok(file) => writeln!(self.session.out, "{file}")?,
                 Err(failure) => self.found.problems.push(failure.of_board()?),
             }

@@ -8,7 +8,7 @@ use crate::{
     address,
     arguments::Assign,
     commands::power::{self, HANDS},
-    failure::Failure,
+    failure::{Failure, Result},
     network::{
         board, nodes,
         rows::{self, Row},
@@ -29,7 +29,7 @@ const LOOK: Duration = Duration::from_millis(250);
 
 /// Gives node-IDs from `first` on that nobody has. The boards of the table get theirs first, a new one may take over
 /// the place of a missing one, and other new ones come into the table.
-pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failure> {
+pub fn assign(session: &mut Session, arguments: &Assign) -> Result {
     let table = arguments.table.as_deref().map(Table::read).transpose()?;
     // The answers come while the nodes are asked.
     board::ask_for_rest(session)?;
@@ -47,9 +47,9 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
     let node_ids = NodeIds::new(session, &found, None);
     let mut work = Work { first: arguments.first, table, node_ids, done: Done::default() };
     let outcome = carry_out(session, &mut work, found, absent, arguments);
-    let board = |(id, address): &(NodeId, Address)| serde_json::json!({ "node_id": id.get(), "lss_address": address::text(address) });
+    let board = |(id, address): &(NodeId, Address)| serde_json::json!({ "node_id": id.get(), "lss_address": address.to_string() });
     let boards: Vec<_> = work.done.new.iter().map(board).collect();
-    session.result = serde_json::json!({ "boards": boards, "problems": work.done.problems });
+    session.found(&serde_json::json!({ "boards": boards, "problems": work.done.problems }))?;
     match outcome {
         Ok(()) => {}
         Err(failure) if work.done.problems.is_empty() => return Err(failure),
@@ -65,12 +65,12 @@ pub fn assign(session: &mut Session<'_>, arguments: &Assign) -> Result<(), Failu
 }
 
 fn carry_out(
-    session: &mut Session<'_>,
+    session: &mut Session,
     work: &mut Work,
     mut found: Found,
     absent: Absent,
     arguments: &Assign,
-) -> Result<(), Failure> {
+) -> Result {
     let is_shared = found.nodes.values().any(|numbers| numbers.len() > 1);
     match arguments.one_at_a_time {
         true => one_at_a_time(session, work)?,
@@ -99,11 +99,11 @@ fn carry_out(
 
 /// Gives the boards of the table their node-IDs; returns the missing ones.
 fn of_the_table(
-    session: &mut Session<'_>,
+    session: &mut Session,
     work: &mut Work,
     places: &mut [Option<Place>],
     absent: Absent,
-) -> Result<Vec<(NodeId, Address)>, Failure> {
+) -> Result<Vec<(NodeId, Address)>> {
     let entries = work.entries();
     let mut missing = Vec::new();
     for (number, why) in absent {
@@ -122,7 +122,7 @@ fn of_the_table(
 }
 
 /// Names the boards that had a node-ID before, and that the table does not have.
-fn left_out(session: &mut Session<'_>, work: &Work, unknown: &[Row]) -> Result<(), Failure> {
+fn left_out(session: &mut Session, work: &Work, unknown: &[Row]) -> Result {
     let Some(Table { entries, ids, .. }) = &work.table else { return Ok(()) };
     session.progress.clear();
     for row in unknown {
@@ -138,11 +138,11 @@ fn left_out(session: &mut Session<'_>, work: &Work, unknown: &[Row]) -> Result<(
             continue;
         }
         let id = row.id_text();
-        match row.lss_address.as_ref().map(address::text) {
-            Some(text) => writeln!(
+        match row.lss_address {
+            Some(address) => writeln!(
                 session.out,
-                "node {id}  {text}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
-                 --reset --store --address {text}) and assign again"
+                "node {id}  {address}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
+                 --reset --store --address {address}) and assign again"
             )?,
             None => writeln!(
                 session.out,
@@ -154,7 +154,7 @@ fn left_out(session: &mut Session<'_>, work: &Work, unknown: &[Row]) -> Result<(
 }
 
 /// Gives node-IDs to boards that a person plugs in one after the other, and says which it is.
-fn one_at_a_time(session: &mut Session<'_>, work: &mut Work) -> Result<(), Failure> {
+fn one_at_a_time(session: &mut Session, work: &mut Work) -> Result {
     let mut until = session.bus.time();
     let mut told = Vec::new();
     let mut is_any = false;
@@ -186,8 +186,7 @@ fn one_at_a_time(session: &mut Session<'_>, work: &mut Work) -> Result<(), Failu
                 is_next |= work.done.count() != before;
             }
             [_, ..] if blank != told => {
-                let boards: Vec<String> = blank.iter().map(address::text).collect();
-                let boards = boards.join(", ");
+                let boards = address::list(&blank);
                 writeln!(
                     session.out,
                     "several boards have no node-ID: {boards}. Leave one of them"
@@ -205,7 +204,7 @@ fn one_at_a_time(session: &mut Session<'_>, work: &mut Work) -> Result<(), Failu
 }
 
 /// Names the boards that have come with a node-ID.
-fn named(session: &mut Session<'_>, work: &mut Work) -> Result<bool, Failure> {
+fn named(session: &mut Session, work: &mut Work) -> Result<bool> {
     let unasked = session.bus.take_unasked();
     let ids: BTreeSet<u8> =
         unasked.iter().filter_map(|received| nodes::booted(&received.frame)).collect();
@@ -213,8 +212,8 @@ fn named(session: &mut Session<'_>, work: &mut Work) -> Result<bool, Failure> {
         let numbers = nodes::serial_numbers(session, *id)?;
         work.node_ids.note(*id);
         for row in rows::node(session, *id, &numbers)? {
-            let text = row.lss_address.as_ref().map_or("-".into(), address::text);
-            writeln!(session.out, "node {id}  {text}  has this node-ID already")?;
+            let address = row.address_text();
+            writeln!(session.out, "node {id}  {address}  has this node-ID already")?;
         }
     }
     Ok(!ids.is_empty())

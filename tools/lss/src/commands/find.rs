@@ -2,9 +2,11 @@
 
 use can_bus::stop::Stop;
 use canopen_node::BitRate;
+use serde_json::Value;
 
 use crate::{
-    failure::Failure,
+    address,
+    failure::{Failure, Result},
     network::rate::{self, Sight},
     session::{DEFAULT_RATE, Session},
 };
@@ -21,13 +23,13 @@ const MIXED: &str =
 
 /// Finds the bit rate of the network: by listening to all bit rates, and if it is silent and `asks`, by questions that
 /// change no state. The adapter was expected to be at `expected`.
-pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<(), Failure> {
+pub fn find(session: &mut Session, expected: BitRate, asks: bool) -> Result {
     writeln!(session.out, "adapter: {}", session.bus.description())?;
-    let mut lacking = Vec::new();
-    let outcome = search(session, expected, asks, &mut lacking);
+    let (mut lacking, mut networks) = (Vec::new(), Vec::new());
+    let outcome = search(session, expected, asks, &mut lacking, &mut networks);
+    session.found(&serde_json::json!({ "networks": networks }))?;
     if !lacking.is_empty() {
-        let lacking: Vec<String> = lacking.iter().map(BitRate::to_string).collect();
-        let lacking = lacking.join(", ");
+        let lacking = address::list(lacking);
         writeln!(session.out, "this adapter does not have {lacking}: nobody was looked for there")?;
     }
     outcome
@@ -35,11 +37,12 @@ pub fn find(session: &mut Session<'_>, expected: BitRate, asks: bool) -> Result<
 
 /// The bit rates that the adapter is `lacking` are left out.
 fn search(
-    session: &mut Session<'_>,
+    session: &mut Session,
     expected: BitRate,
     asks: bool,
     lacking: &mut Vec<BitRate>,
-) -> Result<(), Failure> {
+    networks: &mut Vec<Value>,
+) -> Result {
     let mut rates: Vec<BitRate> = match session.bus.fixed_rate() {
         Some(rate) => vec![rate],
         None => {
@@ -51,7 +54,6 @@ fn search(
             rates
         }
     };
-    session.result = serde_json::json!({ "networks": [] });
     let mut has_signals = false;
     let mut sights = Vec::new();
     for &rate in &rates {
@@ -76,12 +78,12 @@ fn search(
     if let [(rate, sight)] = &mut sights[..] {
         rate::ask(session, *rate, sight)?;
         rate::name(session, sight)?;
-        return tell(session, *rate, expected, sight);
+        return tell(session, *rate, expected, sight, networks);
     }
     // A question would disturb those at the other bit rates.
     for (rate, sight) in &sights {
         writeln!(session.out, "boards run at {rate}")?;
-        tell_heard(session, *rate, sight)?;
+        tell_heard(session, *rate, sight, networks)?;
     }
     if !sights.is_empty() {
         return Err(Failure::Refused(MIXED.into()));
@@ -92,7 +94,7 @@ fn search(
     rates.retain(|rate| !lacking.contains(rate));
     let (answers, has_errors) = ask_at_all(session, &rates)?;
     for (rate, sight) in &answers {
-        tell(session, *rate, expected, sight)?;
+        tell(session, *rate, expected, sight, networks)?;
     }
     match answers.len() {
         0 => Err(Failure::NoAnswer(silence(has_signals, has_errors))),
@@ -107,10 +109,7 @@ fn search(
 /// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each
 /// with an answer once more. The adapter reports no error where somebody acknowledges; that is an answer only if it
 /// has reported errors at another bit rate.
-fn ask_at_all(
-    session: &mut Session<'_>,
-    rates: &[BitRate],
-) -> Result<(Vec<(BitRate, Sight)>, bool), Failure> {
+fn ask_at_all(session: &mut Session, rates: &[BitRate]) -> Result<(Vec<(BitRate, Sight)>, bool)> {
     let mut has_errors = false;
     let mut sights = Vec::new();
     for &rate in rates {
@@ -134,11 +133,12 @@ fn ask_at_all(
 }
 
 fn tell(
-    session: &mut Session<'_>,
+    session: &mut Session,
     rate: BitRate,
     expected: BitRate,
     sight: &Sight,
-) -> Result<(), Failure> {
+    networks: &mut Vec<Value>,
+) -> Result {
     match rate == expected {
         true => writeln!(session.out, "the network runs at {rate}")?,
         false => writeln!(
@@ -147,11 +147,10 @@ fn tell(
             rate.kbit_per_s()
         )?,
     }
-    tell_heard(session, rate, sight)?;
+    tell_heard(session, rate, sight, networks)?;
     let out = &mut *session.out;
     if !sight.nodes.is_empty() {
-        let nodes: Vec<String> = sight.nodes.iter().map(u8::to_string).collect();
-        writeln!(out, "answers to SDO: node {}", nodes.join(", "))?;
+        writeln!(out, "answers to SDO: node {}", address::list(&sight.nodes))?;
     }
     if sight.has_blank {
         writeln!(out, "answers to LSS: at least one board without a node-ID")?;
@@ -162,14 +161,18 @@ fn tell(
     Ok(())
 }
 
-fn tell_heard(session: &mut Session<'_>, rate: BitRate, sight: &Sight) -> Result<(), Failure> {
-    let network = serde_json::json!({
+fn tell_heard(
+    session: &mut Session,
+    rate: BitRate,
+    sight: &Sight,
+    networks: &mut Vec<Value>,
+) -> Result {
+    networks.push(serde_json::json!({
         "bit_rate": rate.kbit_per_s(),
         "nodes": sight.nodes,
         "has_blank": sight.has_blank,
         "heard": sight.heard,
-    });
-    session.result["networks"].as_array_mut().into_iter().for_each(|all| all.push(network.clone()));
+    }));
     for (words, count) in &sight.heard {
         writeln!(session.out, "heard: {words} ({count})")?;
     }

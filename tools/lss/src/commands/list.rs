@@ -7,14 +7,14 @@ use super::one_board::choose;
 use crate::{
     address,
     arguments::Target,
-    failure::Failure,
+    failure::{Failure, Result},
     network::rows::{self, Row},
     session::Session,
 };
 
-/// Prints a row for each node, as a table or as JSON. A node that does not tell its LSS address is asked for it by LSS if
+/// Prints a row for each node. A node that does not tell its LSS address is asked for it by LSS if
 /// it `asks`.
-pub fn list(session: &mut Session<'_>, is_json: bool, asks: bool) -> Result<(), Failure> {
+pub fn list(session: &mut Session, asks: bool) -> Result {
     let mut problems = Vec::new();
     let mut rows = rows::rows(session, &mut problems)?;
     for row in rows.iter_mut().filter(|row| asks && row.lss_address.is_none()) {
@@ -39,22 +39,17 @@ pub fn list(session: &mut Session<'_>, is_json: bool, asks: bool) -> Result<(), 
         Failure::of(&problems)?;
         return Err(Failure::nobody(session.bus.rate()));
     }
-    if is_json {
-        let rate = session.bus.rate().kbit_per_s();
-        let network = serde_json::json!({ "bit_rate": rate, "nodes": rows });
-        writeln!(session.out, "{network:#}")?;
-    } else {
-        print(session, &rows)?;
-    }
-    let duplicates = rows.iter().filter(|row| row.is_duplicate);
-    let duplicates = duplicates.filter_map(|row| row.lss_address.as_ref());
-    let mut duplicates: Vec<String> = duplicates.map(address::text).collect();
+    let rate = session.bus.rate().kbit_per_s();
+    session.found(&serde_json::json!({ "bit_rate": rate, "nodes": rows }))?;
+    print(session, &rows)?;
     problems.extend(rows::twins(&rows));
-    duplicates.retain(|address| !problems.iter().any(|problem| problem.contains(address)));
+    let is_named = |address: &String| problems.iter().any(|problem| problem.contains(address));
+    let duplicates = rows.iter().filter(|row| row.is_duplicate && row.lss_address.is_some());
+    let duplicates = duplicates.map(Row::address_text).filter(|address| !is_named(address));
+    let duplicates = address::list(duplicates);
     if !duplicates.is_empty() {
         problems.push(format!(
-            "boards share a node-ID: give all but one another, with `lss set-id ID --reset --address` and one of {}",
-            duplicates.join(", ")
+            "boards share a node-ID: give all but one another, with `lss set-id ID --reset --address` and one of {duplicates}"
         ));
     }
     Failure::of(&problems)?;
@@ -67,7 +62,7 @@ pub fn list(session: &mut Session<'_>, is_json: bool, asks: bool) -> Result<(), 
 }
 
 /// Prints the table, within the width of a terminal.
-pub fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
+pub fn print(session: &mut Session, rows: &[Row]) -> Result {
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
     let id = if session.screen.is_some() { "ID" } else { "node-ID" };
     let head = [id, "LSS address", "name", "version", "NMT state", "kbit/s"];
@@ -75,7 +70,7 @@ pub fn print(session: &mut Session<'_>, rows: &[Row]) -> Result<(), Failure> {
     lines.extend(rows.iter().map(|row| {
         [
             row.id_text(),
-            or_dash(row.lss_address.as_ref().map(address::text)),
+            row.address_text(),
             or_dash(row.name.clone()),
             or_dash(row.version.clone()),
             row.state.unwrap_or("-").to_owned(),

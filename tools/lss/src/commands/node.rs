@@ -5,14 +5,15 @@ use std::{collections::BTreeMap, path::Path, time::Duration};
 use can_bus::{
     adapter,
     eds::{self, Eds, Entry},
+    explain::nmt_state,
     sdo,
 };
 use canopen_node::{NodeId, nmt::State};
 
 use crate::{
     arguments::Object,
-    failure::Failure,
-    network::{nodes, rows},
+    failure::{Failure, Result},
+    network::nodes,
     plan::sheet::{Sheet, address_words},
     session::Session,
 };
@@ -27,10 +28,10 @@ pub const RESET: (u8, Option<State>) = (129, None);
 
 /// Sends the NMT command to a node, or to all, and prints in which state they are then, as far as they tell it.
 pub fn nmt(
-    session: &mut Session<'_>,
+    session: &mut Session,
     (command, wanted): (u8, Option<State>),
     node: Option<NodeId>,
-) -> Result<(), Failure> {
+) -> Result {
     session.bus.take_unasked();
     session.bus.nmt(command, node.map_or(0, NodeId::get))?;
     let mut told = BTreeMap::new();
@@ -51,7 +52,7 @@ pub fn nmt(
     let wrong: Vec<String> = told.iter().filter(is_wrong).map(|(id, _)| id.to_string()).collect();
     for (id, state) in &told {
         let boot = if booted.contains(id) && *state != 0 { "boot-up, " } else { "" };
-        writeln!(session.out, "node {id}  {boot}{}", rows::state(*state))?;
+        writeln!(session.out, "node {id}  {boot}{}", nmt_state(*state))?;
     }
     match (told.is_empty(), wanted) {
         (true, None) => Err(Failure::NoAnswer("no boot-up message after the reset".into())),
@@ -62,11 +63,11 @@ pub fn nmt(
 }
 
 /// Prints the value of an object.
-pub fn read(session: &mut Session<'_>, object: &Object) -> Result<(), Failure> {
+pub fn read(session: &mut Session, object: &Object) -> Result {
     let sheet = object.sheet()?;
     let (address, entry) = object.entry(sheet.as_ref())?;
     let bytes = sdo::read(&mut session.bus, object.node.get(), address.0, address.1)?
-        .map_err(|why| failed(object, address, &why))?;
+        .map_err(|why| failed(object, address, why))?;
     let text = match entry {
         Some(entry) => entry.text(&bytes),
         None => {
@@ -78,7 +79,7 @@ pub fn read(session: &mut Session<'_>, object: &Object) -> Result<(), Failure> {
 }
 
 /// Writes a value to an object, until the next reset.
-pub fn write(session: &mut Session<'_>, object: &Object, value: &str) -> Result<(), Failure> {
+pub fn write(session: &mut Session, object: &Object, value: &str) -> Result {
     let sheet = object.sheet()?;
     let (address, entry) = object.entry(sheet.as_ref())?;
     let Some((sheet, entry)) = sheet.as_ref().zip(entry) else {
@@ -87,24 +88,25 @@ pub fn write(session: &mut Session<'_>, object: &Object, value: &str) -> Result<
     };
     let bytes = sheet.written(entry, value, object.node.get()).map_err(Failure::Refused)?;
     sdo::download(&mut session.bus, object.node.get(), address, &bytes, WAIT)?
-        .map_err(|why| failed(object, address, &why))
+        .map_err(|why| failed(object, address, why))
 }
 
 /// A node may store before it answers.
 const WAIT: Duration = Duration::from_secs(5);
 
-fn failed(object: &Object, address: eds::Address, why: &str) -> Failure {
-    let words = address_words(address, None);
-    let words = format!("node {}, {words}: {}", object.node.get(), sdo::in_words(why));
+fn failed(object: &Object, address: eds::Address, why: sdo::Error) -> Failure {
+    let words = format!("node {}, {}: {why}", object.node, address_words(address, None));
     match why {
-        "no answer" => Failure::NoAnswer(words),
+        sdo::Error::NoAnswer => {
+            Failure::NoAnswer(words + ". Is the bit rate right? `lss find` looks for it")
+        }
         _ => Failure::Refused(words),
     }
 }
 
 impl Object {
     /// The data sheet, or one with the only object that is meant.
-    fn sheet(&self) -> Result<Option<Sheet>, Failure> {
+    fn sheet(&self) -> Result<Option<Sheet>> {
         if let Some(path) = &self.eds {
             return Sheet::read(path).map(Some).map_err(Failure::Refused);
         }
@@ -116,10 +118,7 @@ impl Object {
         Ok(Some(Sheet { eds, path: Path::new("--type").into() }))
     }
 
-    fn entry<'a>(
-        &self,
-        sheet: Option<&'a Sheet>,
-    ) -> Result<(eds::Address, Option<&'a Entry>), Failure> {
+    fn entry<'a>(&self, sheet: Option<&'a Sheet>) -> Result<(eds::Address, Option<&'a Entry>)> {
         match sheet {
             Some(sheet) => {
                 let entry = sheet.named(&self.object).map_err(Failure::Refused)?;
@@ -159,7 +158,7 @@ pub fn data_type(name: &str) -> Result<u8, String> {
 }
 
 /// Prints the adapters that this computer has.
-pub fn adapters(out: &mut dyn std::io::Write) -> Result<(), Failure> {
+pub fn adapters(out: &mut dyn std::io::Write) -> Result {
     let all = adapter::list();
     for (place, words) in &all {
         writeln!(out, "{place}  {words}")?;

@@ -12,7 +12,7 @@ use lss_master::{Find, Identify, InquireAddress, InquireNodeId, SelectAlone};
 use crate::{
     address::{self, Assigned, Which, counted, id_text},
     arguments::{Ranges, Target},
-    failure::Failure,
+    failure::{Failure, Result},
     network::{
         board::{Gift, RESET_COMMUNICATION, configure, give, take_effect},
         nodes, rows, scan,
@@ -25,35 +25,35 @@ use crate::{
 const ALONE: Duration = Duration::from_secs(10);
 
 /// Prints the LSS address and the node-ID of a board.
-pub fn inquire(session: &mut Session<'_>, target: Target) -> Result<(), Failure> {
+pub fn inquire(session: &mut Session, target: Target) -> Result {
     choose(session, target)?;
     let address = session.carry_out(InquireAddress::new())?;
     let node_id = session.carry_out(InquireNodeId)?;
-    session.result = serde_json::json!({
-        "lss_address": address::text(&address),
+    let rate = session.bus.rate();
+    session.found(&serde_json::json!({
+        "lss_address": address.to_string(),
         "node_id": node_id.map(NodeId::get),
-        "bit_rate": session.bus.rate().kbit_per_s(),
-    });
+        "bit_rate": rate.kbit_per_s(),
+    }))?;
     let Address { vendor_id, product_code, revision_number, serial_number } = address;
-    writeln!(session.out, "LSS address      {}", address::text(&address))?;
+    writeln!(session.out, "LSS address      {address}")?;
     writeln!(session.out, "vendor-ID        {vendor_id:08X}h")?;
     writeln!(session.out, "product code     {product_code:08X}h")?;
     writeln!(session.out, "revision number  {revision_number:08X}h")?;
     writeln!(session.out, "serial number    {serial_number:08X}h = {serial_number}")?;
     writeln!(session.out, "node-ID          {}", id_text(node_id))?;
-    writeln!(session.out, "bit rate         {}", session.bus.rate())?;
-    Ok(())
+    Ok(writeln!(session.out, "bit rate         {rate}")?)
 }
 
 /// Makes a node-ID pending, and says when it takes effect. With `stores`, it stays after a power cut. With `resets`, it
 /// takes effect at once on a board that has another node-ID.
 pub fn set_id(
-    session: &mut Session<'_>,
+    session: &mut Session,
     Assigned(id): Assigned,
     target: Target,
     stores: bool,
     resets: bool,
-) -> Result<(), Failure> {
+) -> Result {
     let address = choose(session, target)?;
     let before = session.carry_out(InquireNodeId)?;
     if let Some(id) = id
@@ -61,8 +61,7 @@ pub fn set_id(
         && is_taken(session, id)?
     {
         return Err(Failure::Refused(format!(
-            "another node has the node-ID {}: two with one node-ID disturb each other. Nothing was changed",
-            id.get()
+            "another node has the node-ID {id}: two with one node-ID disturb each other. Nothing was changed"
         )));
     }
     let gift = Gift { address, before, to: id, rate: None };
@@ -78,20 +77,20 @@ pub fn set_id(
             }
         }),
     };
-    let board = format!("board {}", address::text(&address));
+    let board = format!("board {address}");
     outcome.map_err(|failure| match failure {
         Failure::Refused(why) => Failure::Refused(format!("{board}: {why}")),
         failure => failure,
     })?;
-    session.result = serde_json::json!({
-        "lss_address": address::text(&address),
+    session.found(&serde_json::json!({
+        "lss_address": address.to_string(),
         "node_id": id.map(NodeId::get),
         "is_in_use": takes_effect || before == id,
         "is_stored": stores,
-    });
+    }))?;
     let kept = if stores { ", stored" } else { ", until a power cut: `lss store` keeps it" };
     if let (Some(before), false) = (before.filter(|_| before != id), takes_effect) {
-        let (before, id) = (before.get(), id_text(id));
+        let id = id_text(id);
         writeln!(
             session.out,
             "{board}: node-ID {before}, and {id} from NMT reset communication on (--reset){kept}"
@@ -103,7 +102,7 @@ pub fn set_id(
 }
 
 /// Whether a node answers with this node-ID, or sends of its own accord. Reads object 1000h, which every node has.
-fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
+fn is_taken(session: &mut Session, id: NodeId) -> Result<bool> {
     let cob_id = u16::from(id.get());
     session.bus.send_to(0x600 + cob_id, &sdo::read_request(0x1000, 0))?;
     let wait = session.bus.short();
@@ -112,15 +111,15 @@ fn is_taken(session: &mut Session<'_>, id: NodeId) -> Result<bool, Failure> {
 }
 
 /// Stores the pending node-ID and bit rate of a board.
-pub fn store(session: &mut Session<'_>, target: Target) -> Result<(), Failure> {
+pub fn store(session: &mut Session, target: Target) -> Result {
     let address = choose(session, target)?;
     session.carry_out(Request::StoreConfiguration)?;
-    writeln!(session.out, "board {}: node-ID and bit rate stored", address::text(&address))?;
+    writeln!(session.out, "board {address}: node-ID and bit rate stored")?;
     Ok(())
 }
 
 /// Keeps a board in LSS configuration state, in which both LEDs flicker in turn (CiA 303-3).
-pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
+pub fn blink(session: &mut Session, which: Which) -> Result {
     let address = match which {
         Which::Address(address) => address,
         Which::Node(id) => address_of(session, id)?,
@@ -129,7 +128,7 @@ pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
     let id = session.carry_out(InquireNodeId)?;
     let is_attended = session.person.is_present();
     let board = match id {
-        Some(id) => format!("node {}", id.get()),
+        Some(id) => format!("node {id}"),
         None => "board".into(),
     };
     let until = match is_attended {
@@ -137,11 +136,7 @@ pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
         false => "for 10 s",
     };
     session.progress.clear();
-    writeln!(
-        session.out,
-        "{board}  {}  both LEDs flicker in turn {until}",
-        address::text(&address)
-    )?;
+    writeln!(session.out, "{board}  {address}  both LEDs flicker in turn {until}")?;
     if id.is_none() {
         writeln!(
             session.out,
@@ -159,7 +154,7 @@ pub fn blink(session: &mut Session<'_>, which: Which) -> Result<(), Failure> {
 }
 
 /// The LSS address of the only node with this node-ID.
-fn address_of(session: &mut Session<'_>, id: NodeId) -> Result<Address, Failure> {
+fn address_of(session: &mut Session, id: NodeId) -> Result<Address> {
     let id = id.get();
     let numbers = nodes::serial_numbers(session, id)?;
     if numbers.is_empty() {
@@ -181,14 +176,14 @@ fn address_of(session: &mut Session<'_>, id: NodeId) -> Result<Address, Failure>
 }
 
 /// Says whether a board is within the ranges, or which ones are.
-pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failure> {
+pub fn identify(session: &mut Session, ranges: &Ranges) -> Result {
     let mut within = Identify {
         vendor_id: ranges.vendor,
         product_code: ranges.product,
         revision_numbers: ranges.revision.clone(),
         serial_numbers: ranges.serial.clone(),
     };
-    session.result = serde_json::json!({ "answers": false });
+    session.found(&serde_json::json!({ "answers": false }))?;
     if !session.carry_out(within.clone())? {
         return Err(Failure::NoAnswer(format!(
             "no board within these ranges answers at {}. Is the bit rate right (--bit-rate)? Some slaves do not support \
@@ -196,21 +191,18 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
             session.bus.rate()
         )));
     }
-    session.result = serde_json::json!({ "answers": true });
     if !ranges.each {
-        writeln!(session.out, "a board within these ranges answers")?;
-        return Ok(());
+        session.found(&serde_json::json!({ "answers": true }))?;
+        return Ok(writeln!(session.out, "a board within these ranges answers")?);
     }
-    session.result["boards"] = serde_json::json!([]);
-    let mut count = 0;
+    let mut boards: Vec<String> = Vec::new();
     loop {
-        session.progress.say(|| format!("{} found", counted(count, "board")));
+        session.found(&serde_json::json!({ "answers": true, "boards": boards }))?;
+        session.progress.say(|| format!("{} found", counted(boards.len(), "board")));
         let Some(found) = session.carry_out(Find::new(within.clone()))? else { return Ok(()) };
-        writeln!(session.out, "{}", address::text(&found))?;
-        let all = session.result["boards"].as_array_mut();
-        all.into_iter().for_each(|all| all.push(address::text(&found).into()));
-        count += 1;
-        scan::check_count(count, "identify remote slave")?;
+        writeln!(session.out, "{found}")?;
+        boards.push(found.to_string());
+        scan::check_count(boards.len(), "identify remote slave")?;
         let Some(next) = found.serial_number.checked_add(1) else { return Ok(()) };
         within.serial_numbers = next..=*within.serial_numbers.end();
         if within.serial_numbers.is_empty() {
@@ -220,7 +212,7 @@ pub fn identify(session: &mut Session<'_>, ranges: &Ranges) -> Result<(), Failur
 }
 
 /// Sends a request and prints it and each answer, with their meaning.
-pub fn raw(session: &mut Session<'_>, bytes: &[u8]) -> Result<(), Failure> {
+pub fn raw(session: &mut Session, bytes: &[u8]) -> Result {
     let mut data = [0; 8];
     for (to, from) in data.iter_mut().zip(bytes) {
         *to = *from;
@@ -237,7 +229,7 @@ pub fn raw(session: &mut Session<'_>, bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Brings the board that is meant to LSS configuration state, and all others to LSS waiting state.
-pub fn choose(session: &mut Session<'_>, target: Target) -> Result<Address, Failure> {
+pub fn choose(session: &mut Session, target: Target) -> Result<Address> {
     let address = match target.address {
         Some(address) => address,
         None => only(session)?,
@@ -245,8 +237,7 @@ pub fn choose(session: &mut Session<'_>, target: Target) -> Result<Address, Fail
     let rate = session.bus.rate();
     session.carry_out(SelectAlone::new(address)).map_err(|failure| match failure {
         Failure::NoAnswer(_) => Failure::NoAnswer(format!(
-            "no board with the LSS address {} answers at {rate}. Is the bit rate right (--bit-rate)?",
-            address::text(&address)
+            "no board with the LSS address {address} answers at {rate}. Is the bit rate right (--bit-rate)?"
         )),
         failure => failure,
     })?;
@@ -254,7 +245,7 @@ pub fn choose(session: &mut Session<'_>, target: Target) -> Result<Address, Fail
 }
 
 /// The LSS address of the only board. Boards that differ answer one after the other, and are all told.
-fn only(session: &mut Session<'_>) -> Result<Address, Failure> {
+fn only(session: &mut Session) -> Result<Address> {
     session.bus.request(Request::SwitchToConfiguration)?;
     let mut numbers = [0; 4];
     for (number, part) in numbers.iter_mut().zip((0..).map_while(AddressPart::new)) {
@@ -269,7 +260,7 @@ fn only(session: &mut Session<'_>) -> Result<Address, Failure> {
 }
 
 /// The different numbers that boards in LSS configuration state answer.
-fn all_answers(session: &mut Session<'_>, part: AddressPart) -> Result<Vec<u32>, Failure> {
+fn all_answers(session: &mut Session, part: AddressPart) -> Result<Vec<u32>> {
     let request = Request::Inquire(part);
     let [specifier, ..] = request.to_bytes();
     let is_answer = |frame: &Frame| {
@@ -290,7 +281,7 @@ fn all_answers(session: &mut Session<'_>, part: AddressPart) -> Result<Vec<u32>,
     Ok(answers)
 }
 
-fn nobody(session: &mut Session<'_>, part: AddressPart) -> Result<Failure, Failure> {
+fn nobody(session: &mut Session, part: AddressPart) -> Result<Failure> {
     let rate = session.bus.rate();
     if part != AddressPart::VendorId {
         return Ok(Failure::NoAnswer(format!("the board falls silent: no answer to {part:?}")));
@@ -309,14 +300,8 @@ fn nobody(session: &mut Session<'_>, part: AddressPart) -> Result<Failure, Failu
 }
 
 fn several(answers: &[u32], part: AddressPart) -> Failure {
-    let name = match part {
-        AddressPart::VendorId => "vendor-IDs",
-        AddressPart::ProductCode => "product codes",
-        AddressPart::RevisionNumber => "revision numbers",
-        AddressPart::SerialNumber => "serial numbers",
-    };
+    let numbers = address::parts(answers);
     Failure::Refused(format!(
-        "several boards answer, with the {name} {}: choose one with --address",
-        address::parts(answers)
+        "several boards answer, with the {part}s {numbers}: choose one with --address"
     ))
 }

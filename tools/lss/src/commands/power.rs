@@ -6,7 +6,7 @@ use canopen_node::lss::Request;
 
 use crate::{
     address::{self, counted},
-    failure::Failure,
+    failure::{Failure, Result},
     network::{nodes, rows, scan},
     session::{GLANCE, Session},
 };
@@ -17,7 +17,7 @@ pub const HANDS: Duration = Duration::from_secs(120);
 const NEXT: Duration = Duration::from_secs(30);
 
 /// Asks the person to switch the power off and on, and checks that each node boots up again and is the same board.
-pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
+pub fn check(session: &mut Session) -> Result {
     session.carry_out(Request::SwitchToWaiting)?;
     let before = nodes::nodes(session)?;
     if before.is_empty() {
@@ -72,8 +72,7 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
     }
     if !problems.is_empty() {
         for blank in scan::blank(session, &mut problems)? {
-            let text = address::text(&blank);
-            problems.push(format!("board {text} has no node-ID after power: it has not kept it"));
+            problems.push(format!("board {blank} has no node-ID after power: it has not kept it"));
         }
         return Err(Failure::Refused(problems.join("\n")));
     }
@@ -83,7 +82,7 @@ pub fn check(session: &mut Session<'_>) -> Result<(), Failure> {
 }
 
 /// Waits for the boot-up of each node; returns those that do not come.
-fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, Failure> {
+fn wait(session: &mut Session, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>> {
     let mut absent = ids.clone();
     let mut until = session.bus.time() + HANDS;
     while !absent.is_empty() && session.bus.time() < until {
@@ -100,7 +99,7 @@ fn wait(session: &mut Session<'_>, ids: &BTreeSet<u8>) -> Result<BTreeSet<u8>, F
 }
 
 /// What is wrong with the stored bit rate of a node, if it tells.
-fn stored_rate(session: &mut Session<'_>, id: u8) -> Result<Option<String>, Failure> {
+fn stored_rate(session: &mut Session, id: u8) -> Result<Option<String>> {
     let rate = session.bus.rate().kbit_per_s();
     let home = rows::home_bit_rate(session, id)?.filter(|home| *home != 0 && *home != rate);
     Ok(home.map(|home| {

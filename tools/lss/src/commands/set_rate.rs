@@ -9,14 +9,14 @@ use lss_master::{Member, SelectAlone, SwitchBitRate};
 
 use crate::{
     address::{self, counted},
-    failure::{self, Failure},
+    failure::{self, Failure, Result},
     network::rows,
     session::Session,
 };
 
 /// Switches all boards to another bit rate and stores it. If one does not come, all go back. At the bit rate that the
 /// network has already, a board that came there by listening makes it its own.
-pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result<(), Failure> {
+pub fn set_rate(session: &mut Session, to: BitRate, delay_ms: u16) -> Result {
     let from = session.bus.rate();
     if session.bus.fixed_rate().is_some() {
         return Err(Failure::Refused(
@@ -49,7 +49,7 @@ pub fn set_rate(session: &mut Session<'_>, to: BitRate, delay_ms: u16) -> Result
 }
 
 /// The Ctrl-C or the other master that waits.
-fn interruption(session: &mut Session<'_>) -> Result<(), Stop> {
+fn interruption(session: &mut Session) -> Result<(), Stop> {
     session.bus.hold_interrupt(false);
     let interruption = session.bus.check_interrupt();
     session.bus.hold_interrupt(true);
@@ -69,7 +69,7 @@ struct Switch {
 }
 
 impl Switch {
-    fn carry_out(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+    fn carry_out(&mut self, session: &mut Session) -> Result {
         let &mut Self { from, to, delay_ms, .. } = self;
         session.progress.say(|| format!("switching to {to}"));
         let switched =
@@ -94,7 +94,7 @@ impl Switch {
             match store(session, address) {
                 Err(failure @ Failure::Stop(_)) => return Err(failure),
                 Err(failure) => {
-                    let why = format!("board {}: {failure}", address::text(&address));
+                    let why = format!("board {address}: {failure}");
                     let outcome = self.go_back(session, &why);
                     // The last one may have stored, too, and its answer may be lost.
                     for member in &self.members[..=number] {
@@ -113,7 +113,7 @@ impl Switch {
     }
 
     /// Takes all boards that came back to the old bit rate. Always fails, with `why` and with who is missing.
-    fn go_back(&mut self, session: &mut Session<'_>, why: &str) -> Result<(), Failure> {
+    fn go_back(&mut self, session: &mut Session, why: &str) -> Result {
         let &mut Self { from, to, delay_ms, .. } = self;
         self.is_back = true;
         let mut rest = self.members.clone();
@@ -137,13 +137,13 @@ impl Switch {
             match back {
                 Ok(()) => {}
                 Err(stop @ Failure::Stop(_)) => return Err(stop),
-                Err(_) => missing.push(address::text(address)),
+                Err(_) => missing.push(*address),
             }
         }
         let boards = counted(self.members.len() - missing.len(), "board");
         let mut words = format!("{why}. Nothing is stored; at {from} again: {boards}");
         if !missing.is_empty() {
-            words += &format!(", missing: {}", missing.join(", "));
+            words += &format!(", missing: {}", address::list(missing));
         }
         Err(Failure::Refused(words))
     }
@@ -172,7 +172,7 @@ impl Switch {
 }
 
 /// The boards of the network, each of which can be selected.
-fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
+fn plan(session: &mut Session) -> Result<Vec<Member>> {
     let mut problems = Vec::new();
     let rows = rows::rows(session, &mut problems)?;
     Failure::of(&problems)?;
@@ -195,7 +195,7 @@ fn plan(session: &mut Session<'_>) -> Result<Vec<Member>, Failure> {
     }
 }
 
-fn store(session: &mut Session<'_>, address: Address) -> Result<(), Failure> {
+fn store(session: &mut Session, address: Address) -> Result {
     session.carry_out(SelectAlone::new(address))?;
     session.carry_out(Request::StoreConfiguration)
 }
@@ -204,7 +204,7 @@ fn store(session: &mut Session<'_>, address: Address) -> Result<(), Failure> {
 fn problems(members: &[Member]) -> String {
     let failed = members.iter().filter_map(|member| {
         let words = failure::words(member.outcome.err()?);
-        Some(format!("board {}: {words}", address::text(&member.address)))
+        Some(format!("board {}: {words}", member.address))
     });
     failed.collect::<Vec<_>>().join("; ")
 }

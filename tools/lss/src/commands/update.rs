@@ -7,9 +7,8 @@ use program_update::{Release, header::HEADER_LEN};
 use serde::Serialize;
 
 use crate::{
-    address,
     arguments::Update,
-    failure::Failure,
+    failure::{Failure, Result},
     network::{
         loader::{Fate, Loader},
         nodes,
@@ -56,7 +55,7 @@ struct Report<'a> {
 }
 
 /// Installs the file on the boards with these node-IDs, or on all that it is for.
-pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failure> {
+pub fn update(session: &mut Session, arguments: &Update) -> Result {
     let file = UpdateFile::read(&arguments.file)?;
     let rows = match arguments.nodes[..] {
         [] => rows_of_all(session)?,
@@ -71,26 +70,19 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
         boards.push(Board { row, outcome: Outcome::LeftAlone, why });
     }
     session.progress.clear();
-    if !arguments.json {
-        writeln!(session.out, "{}", file.words())?;
-    }
+    writeln!(session.out, "{}", file.words())?;
     let misfits = boards.iter().filter(|board| board.why.is_some());
     let misfits: Vec<String> = misfits.map(Board::line).collect();
     if misfits.len() == boards.len() || !arguments.nodes.is_empty() && !misfits.is_empty() {
         return Err(Failure::Refused(format!("{}\nNothing was changed", misfits.join("\n"))));
     }
-    if !arguments.json {
-        for line in misfits {
-            writeln!(session.out, "{line}")?;
-        }
+    for line in misfits {
+        writeln!(session.out, "{line}")?;
     }
-    let outcome = install_all(session, &file, &mut boards, arguments.json);
+    let outcome = install_all(session, &file, &mut boards);
     session.progress.clear();
-    if arguments.json {
-        let report = Report { file: file.description(), boards: &boards };
-        let text = serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?;
-        writeln!(session.out, "{text}")?;
-    } else if let Err(Failure::Stop(_)) = outcome {
+    session.found(&Report { file: file.description(), boards: &boards })?;
+    if let Err(Failure::Stop(_)) = outcome {
         writeln!(session.out, "not finished: start `lss update` again, and it goes on")?;
     }
     outcome?;
@@ -102,19 +94,14 @@ pub fn update(session: &mut Session<'_>, arguments: &Update) -> Result<(), Failu
 }
 
 /// Installs the file on each board that it is for. The others do not get one that has failed or was refused on one.
-fn install_all(
-    session: &mut Session<'_>,
-    file: &UpdateFile,
-    boards: &mut [Board],
-    is_quiet: bool,
-) -> Result<(), Failure> {
+fn install_all(session: &mut Session, file: &UpdateFile, boards: &mut [Board]) -> Result {
     let mut fitting: Vec<(NodeId, &mut Board)> = boards
         .iter_mut()
         .filter(|board| board.why.is_none())
         .filter_map(|board| Some((board.row.node_id.and_then(NodeId::new)?, board)))
         .collect();
     let all = fitting.len();
-    let who = |at: usize, id: NodeId| format!("node {} ({} of {all})", id.get(), at + 1);
+    let who = |at: usize, id: NodeId| format!("node {id} ({} of {all})", at + 1);
     let ids: Vec<NodeId> = fitting.iter().map(|(id, _)| *id).collect();
     let ahead = ahead(file, session.bus.rate());
     // The number of boards that had their turn or were let clear, and those of the latter.
@@ -129,10 +116,8 @@ fn install_all(
                 why += Loader::new(session, *id, &who_it_is).go_back()?;
             }
             board.why = Some(why);
-            if !is_quiet {
-                session.progress.clear();
-                writeln!(session.out, "{}", board.line())?;
-            }
+            session.progress.clear();
+            writeln!(session.out, "{}", board.line())?;
             continue;
         }
         begun = begun.max(at + 1);
@@ -153,7 +138,7 @@ fn install_all(
             _ => None,
         };
         is_proven |= board.why.is_none();
-        if !is_quiet && board.why.is_none() {
+        if board.why.is_none() {
             let was_operational = board.row.state == Some("operational");
             session.progress.clear();
             let version = program_update::header::text_of(&file.header.version);
@@ -186,12 +171,7 @@ fn ahead(file: &UpdateFile, rate: BitRate) -> usize {
 }
 
 /// Lets a board clear whose turn comes soon; returns whether it may have begun. What fails is told in its turn.
-fn begin(
-    session: &mut Session<'_>,
-    file: &UpdateFile,
-    id: NodeId,
-    who: &str,
-) -> Result<bool, Failure> {
+fn begin(session: &mut Session, file: &UpdateFile, id: NodeId, who: &str) -> Result<bool> {
     let mut loader = Loader::new(session, id, who);
     let outcome = loader.begin(file.header.crc, &file.bytes[..HEADER_LEN]);
     outcome.or_else(|failure| failure.of_board().map(|_| true))
@@ -199,11 +179,11 @@ fn begin(
 
 /// Installs the file on a board; goes back to the program before if that fails.
 fn install(
-    session: &mut Session<'_>,
+    session: &mut Session,
     file: &UpdateFile,
     id: NodeId,
     who: &str,
-) -> Result<(Outcome, Option<String>), Failure> {
+) -> Result<(Outcome, Option<String>)> {
     let crc = file.header.crc;
     let mut loader = Loader::new(session, id, who);
     let installed = loader.installed()?;
@@ -237,7 +217,7 @@ fn install(
 }
 
 /// All nodes that answer.
-fn rows_of_all(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
+fn rows_of_all(session: &mut Session) -> Result<Vec<Row>> {
     let nodes = nodes::nodes(session)?;
     match nodes.is_empty() {
         true => Err(Failure::nobody(session.bus.rate())),
@@ -246,7 +226,7 @@ fn rows_of_all(session: &mut Session<'_>) -> Result<Vec<Row>, Failure> {
 }
 
 /// The nodes with these node-IDs.
-fn rows_of(session: &mut Session<'_>, ids: &[NodeId]) -> Result<Vec<Row>, Failure> {
+fn rows_of(session: &mut Session, ids: &[NodeId]) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for id in ids {
         let id = id.get();
@@ -269,11 +249,7 @@ fn rows_of(session: &mut Session<'_>, ids: &[NodeId]) -> Result<Vec<Row>, Failur
 }
 
 /// Why the file is not for a board.
-fn misfit(
-    session: &mut Session<'_>,
-    file: &UpdateFile,
-    row: &Row,
-) -> Result<Option<String>, Failure> {
+fn misfit(session: &mut Session, file: &UpdateFile, row: &Row) -> Result<Option<String>> {
     let Some(id) = row.node_id.and_then(NodeId::new) else { return Ok(None) };
     if row.is_duplicate {
         return Ok(Some("another board has the same node-ID".into()));
@@ -290,11 +266,7 @@ fn misfit(
 }
 
 /// Why a board with a later version keeps it, unless the person wants the lower one.
-fn step_back(
-    session: &mut Session<'_>,
-    file: &UpdateFile,
-    row: &Row,
-) -> Result<Option<String>, Failure> {
+fn step_back(session: &mut Session, file: &UpdateFile, row: &Row) -> Result<Option<String>> {
     let version = row.version.as_deref().unwrap_or_default();
     if Release::parse(version).is_none_or(|release| release <= file.header.release) {
         return Ok(None);
@@ -311,8 +283,7 @@ fn step_back(
 impl Row {
     /// Which board it is.
     fn name(&self) -> String {
-        let address = self.lss_address.as_ref().map_or_else(|| "-".into(), address::text);
-        format!("node {}  {address}", self.id_text())
+        format!("node {}  {}", self.id_text(), self.address_text())
     }
 }
 

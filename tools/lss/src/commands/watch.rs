@@ -10,7 +10,7 @@ use canopen_node::lss::Request;
 
 use crate::{
     commands::list,
-    failure::Failure,
+    failure::{Failure, Result},
     network::{
         live::{Network, Node},
         nodes, rows,
@@ -26,7 +26,7 @@ const FRAME: usize = 4;
 const EVENTS: usize = 3;
 
 /// Lists all nodes, and then only listens until Ctrl-C. A node that appears is asked once who it is.
-pub fn watch(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
+pub fn watch(session: &mut Session, is_json: bool) -> Result {
     session.screen = session.screen.filter(|_| !is_json);
     let start = session.bus.time();
     let mut problems = Vec::new();
@@ -74,7 +74,7 @@ pub fn watch(session: &mut Session<'_>, is_json: bool) -> Result<(), Failure> {
     }
 }
 
-fn listen(session: &mut Session<'_>, network: &mut Network, is_json: bool) -> Result<(), Failure> {
+fn listen(session: &mut Session, network: &mut Network, is_json: bool) -> Result {
     let known: Vec<u8> = network.nodes.keys().copied().collect();
     for id in known {
         ask_interval(session, network, id)?;
@@ -119,7 +119,7 @@ fn listen(session: &mut Session<'_>, network: &mut Network, is_json: bool) -> Re
 }
 
 /// Asks a node who it is.
-fn ask(session: &mut Session<'_>, network: &mut Network, id: u8) -> Result<(), Failure> {
+fn ask(session: &mut Session, network: &mut Network, id: u8) -> Result {
     let numbers = nodes::serial_numbers(session, id)?;
     let rows = match numbers.is_empty() {
         true => Vec::new(),
@@ -133,7 +133,7 @@ fn ask(session: &mut Session<'_>, network: &mut Network, id: u8) -> Result<(), F
 }
 
 /// Asks a node how often it sends a heartbeat.
-fn ask_interval(session: &mut Session<'_>, network: &mut Network, id: u8) -> Result<(), Failure> {
+fn ask_interval(session: &mut Session, network: &mut Network, id: u8) -> Result {
     if let Ok(ms) = sdo::read_number(&mut session.bus, id, 0x1017, 0)? {
         network.set_interval(id, ms, session.bus.time());
     }
@@ -142,12 +142,12 @@ fn ask_interval(session: &mut Session<'_>, network: &mut Network, id: u8) -> Res
 
 /// Draws the table and the latest events over the ones before.
 fn draw(
-    session: &mut Session<'_>,
+    session: &mut Session,
     size: Screen,
     network: &Network,
     events: &VecDeque<(Duration, String)>,
     now: Instant,
-) -> Result<(), Failure> {
+) -> Result {
     let (width, height) = size();
     let mut rows: Vec<String> = network.nodes.values().map(|node| row(node, now)).collect();
     rows.extend(network.blank.iter().map(|blank| row(&Node::new(blank.clone()), now)));

@@ -12,8 +12,8 @@ use lss_master::{Configure, InquireNodeId, SelectAlone};
 
 use super::{nodes, rows};
 use crate::{
-    address::{self, id_text},
-    failure::Failure,
+    address::id_text,
+    failure::{Failure, Result},
     session::Session,
 };
 
@@ -45,7 +45,7 @@ pub struct Gift {
 /// Gives the board in LSS configuration state its node-ID, and lets all boards enter LSS waiting state. Returns whether
 /// it sends a boot-up message: some boards send another one. A Ctrl-C waits: no board must have a node-ID that is not
 /// stored.
-pub fn give(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
+pub fn give(session: &mut Session, gift: Gift) -> Result<bool> {
     session.uninterrupted(|session| {
         configure(session, gift, true)?;
         let boots = prove(session, gift).map_err(|failure| match failure {
@@ -60,7 +60,7 @@ pub fn give(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
 }
 
 /// Lets the board in LSS configuration state store the node-ID that it has once more, in case it is not stored.
-pub fn store_again(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure> {
+pub fn store_again(session: &mut Session, gift: Gift) -> Result {
     session.uninterrupted(|session| {
         configure(session, gift, true)?;
         Ok(session.bus.request(Request::SwitchToWaiting)?)
@@ -68,7 +68,7 @@ pub fn store_again(session: &mut Session<'_>, gift: Gift) -> Result<(), Failure>
 }
 
 /// Makes the node-ID pending in the board in LSS configuration state, and stores it if it `stores`.
-pub fn configure(session: &mut Session<'_>, gift: Gift, stores: bool) -> Result<(), Failure> {
+pub fn configure(session: &mut Session, gift: Gift, stores: bool) -> Result {
     let Gift { before, to, rate, .. } = gift;
     let mut may_be_stored = false;
     let mut work = || {
@@ -97,11 +97,7 @@ pub fn configure(session: &mut Session<'_>, gift: Gift, stores: bool) -> Result<
 /// Makes the node-ID pending again that a board had `before`: it must not take another one at the end of LSS
 /// configuration state, nor must others that another master has brought there. It is stored again, too, if the other
 /// one may be stored.
-fn take_back(
-    session: &mut Session<'_>,
-    before: Option<NodeId>,
-    may_be_stored: bool,
-) -> Result<(), Failure> {
+fn take_back(session: &mut Session, before: Option<NodeId>, may_be_stored: bool) -> Result {
     session.bus.mind(Masters::None);
     let outcome = match may_be_stored {
         true => session.carry_out(Configure::node_id(before)),
@@ -113,7 +109,7 @@ fn take_back(
 
 /// Takes a stored node-ID back from a board that does not use it, and must not do so later, or that shares it with
 /// another board. Returns the words for that, with both addresses.
-fn withdraw(session: &mut Session<'_>, gift: Gift) -> Result<Option<Failure>, Failure> {
+fn withdraw(session: &mut Session, gift: Gift) -> Result<Option<Failure>> {
     let Gift { address, before, to, .. } = gift;
     let other = match to {
         Some(id) => other(&nodes::serial_numbers(session, id.get())?, &address),
@@ -141,8 +137,10 @@ fn withdraw(session: &mut Session<'_>, gift: Gift) -> Result<Option<Failure>, Fa
     // Both may still answer.
     let rows = rows::node(session, id, &[address.serial_number, other])?;
     let mut addresses = rows.iter().filter_map(|row| row.lss_address);
-    let text = addresses.find(|it| it.serial_number == other).as_ref().map(address::text);
-    let other = text.unwrap_or_else(|| format!("with the serial number {other:08X}"));
+    let other = match addresses.find(|address| address.serial_number == other) {
+        Some(address) => address.to_string(),
+        None => format!("with the serial number {other:08X}"),
+    };
     Ok(Some(Failure::Refused(format!("board {other} has node-ID {id}, too: {fate}"))))
 }
 
@@ -155,7 +153,7 @@ fn other(numbers: &[u32], address: &Address) -> Option<u32> {
 }
 
 /// Lets the stored node-ID take effect, and checks that the board has it after a reset.
-fn prove(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
+fn prove(session: &mut Session, gift: Gift) -> Result<bool> {
     let Some(id) = gift.to else { return take_effect(session, gift, RESET_NODE) };
     if gift.before != gift.to {
         take_effect(session, gift, RESET_COMMUNICATION)?;
@@ -165,14 +163,14 @@ fn prove(session: &mut Session<'_>, gift: Gift) -> Result<bool, Failure> {
 
 /// Lets a node-ID take effect that is configured: at the end of LSS configuration state if the board has none
 /// (CiA 305), or by this NMT command.
-pub fn take_effect(session: &mut Session<'_>, gift: Gift, command: u8) -> Result<bool, Failure> {
+pub fn take_effect(session: &mut Session, gift: Gift, command: u8) -> Result<bool> {
     let Gift { address, before, to, .. } = gift;
     boots_up(session, &address, before, to, command, "accepted")
 }
 
 /// Resets a node, and checks that the board is there with its node-ID again: it has stored it. Returns whether it sends a
 /// boot-up message: some boards send another one.
-pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result<bool, Failure> {
+pub fn reset(session: &mut Session, id: NodeId, address: &Address) -> Result<bool> {
     let boots = boots_up(session, address, Some(id), Some(id), RESET_NODE, "stored")?;
     if !boots {
         return Ok(false);
@@ -190,7 +188,7 @@ pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result
         Some(number) => Err(Failure::Refused(format!(
             "node {id} is another board, with the serial number {number:08X}"
         ))),
-        None if is_twice => Err(Failure::Refused(nodes::two(&address::text(address), id))),
+        None if is_twice => Err(Failure::Refused(nodes::two(*address, id))),
         None => Ok(true),
     }
 }
@@ -198,13 +196,13 @@ pub fn reset(session: &mut Session<'_>, id: NodeId, address: &Address) -> Result
 /// Lets the board `from` boot up as `to`; returns whether it sends a message then. One that is silent is asked by LSS
 /// for its node-ID.
 fn boots_up(
-    session: &mut Session<'_>,
+    session: &mut Session,
     address: &Address,
     from: Option<NodeId>,
     to: Option<NodeId>,
     command: u8,
     verb: &str,
-) -> Result<bool, Failure> {
+) -> Result<bool> {
     for attempt in 0..ATTEMPTS {
         session.bus.take_unasked();
         // Either the request was lost or the message after it.
@@ -242,20 +240,20 @@ fn boots_up(
 }
 
 /// Brings a board to LSS configuration state, and all others to LSS waiting state; returns its node-ID.
-pub fn select(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId>, Failure> {
+pub fn select(session: &mut Session, address: Address) -> Result<Option<NodeId>> {
     session.carry_out(SelectAlone::new(address))?;
     session.carry_out(InquireNodeId)
 }
 
 /// The node-ID that a board has.
-fn inquired(session: &mut Session<'_>, address: &Address) -> Result<Option<NodeId>, Failure> {
+fn inquired(session: &mut Session, address: &Address) -> Result<Option<NodeId>> {
     let id = select(session, *address)?;
     session.bus.request(Request::SwitchToWaiting)?;
     Ok(id)
 }
 
 /// Asks who is in LSS configuration state, since an earlier run has left it there. [`take_back_rest`] takes the answers.
-pub fn ask_for_rest(session: &mut Session<'_>) -> Result<(), Failure> {
+pub fn ask_for_rest(session: &mut Session) -> Result {
     // Nothing needs to be undone so far.
     session.all_wait = true;
     session.bus.inquired.clear();
@@ -264,7 +262,7 @@ pub fn ask_for_rest(session: &mut Session<'_>) -> Result<(), Failure> {
 
 /// Takes back what an earlier run has left: a board that it could not bring to LSS waiting state would take a pending
 /// node-ID there, or at a reset of its communication, and nobody has stored it.
-pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
+pub fn take_back_rest(session: &mut Session) -> Result {
     session.uninterrupted(|session| {
         let ids = std::mem::take(&mut session.bus.inquired);
         // The request for boards without a node-ID is for all, and so is that for the only node.
@@ -301,7 +299,7 @@ pub fn take_back_rest(session: &mut Session<'_>) -> Result<(), Failure> {
 }
 
 /// The same at once, with a wait for the answers.
-pub fn end_earlier_run(session: &mut Session<'_>) -> Result<(), Failure> {
+pub fn end_earlier_run(session: &mut Session) -> Result {
     ask_for_rest(session)?;
     let wait = session.bus.short();
     session.bus.pass(wait)?;
@@ -309,7 +307,7 @@ pub fn end_earlier_run(session: &mut Session<'_>) -> Result<(), Failure> {
 }
 
 /// A node in LSS configuration state beside other boards, and without an LSS address that is known.
-fn mixed(id: u8, why: &str) -> Failure {
+fn mixed(id: u8, why: &sdo::Error) -> Failure {
     Failure::Refused(format!(
         "node {id} and other boards are in LSS configuration state together, and it does not tell its LSS address (object \
          1018h: {why}): switch the power of all boards off and on"
@@ -328,7 +326,7 @@ pub struct Search {
 impl Search {
     /// Brings the board with this LSS address to LSS configuration state, and all others to LSS waiting state; false if
     /// it is missing. The first one that is missing costs the patience of the master, and each other one a glance.
-    pub fn select(&mut self, session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+    pub fn select(&mut self, session: &mut Session, address: Address) -> Result<bool> {
         if self.is_deserted || self.is_anyone_missing && !is_heard(session, address)? {
             return Ok(false);
         }
@@ -345,7 +343,7 @@ impl Search {
 }
 
 /// Whether nobody has sent anything so far, and nobody acknowledges a selection, as the adapter reports.
-fn is_deserted(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+fn is_deserted(session: &mut Session, address: Address) -> Result<bool> {
     if !session.bus.heard.is_empty() || session.bus.slowest_answer().is_some() {
         return Ok(false);
     }
@@ -356,7 +354,7 @@ fn is_deserted(session: &mut Session<'_>, address: Address) -> Result<bool, Fail
 }
 
 /// Whether a board answers to its selection soon, at once or after one with pauses, which some slaves need.
-fn is_heard(session: &mut Session<'_>, address: Address) -> Result<bool, Failure> {
+fn is_heard(session: &mut Session, address: Address) -> Result<bool> {
     let Address { vendor_id, product_code, revision_number, serial_number } = address;
     for gap in [Duration::ZERO, GAP] {
         for request in [

@@ -5,10 +5,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use can_bus::{adapter::Received, explain::error_code};
+use can_bus::{
+    adapter::Received,
+    explain::{error_code, nmt_state},
+};
 
-use super::rows::{Row, state};
-use crate::address;
+use super::rows::Row;
 
 /// The number of events that are kept for the screen.
 const KEPT: usize = 100;
@@ -85,7 +87,7 @@ impl Network {
         let is_boot_up = byte == 0;
         let node = self.node(id, at);
         let was_gone = std::mem::take(&mut node.is_gone);
-        let before = node.row.state.replace(state(byte));
+        let before = node.row.state.replace(nmt_state(byte));
         let last = node.last_heartbeat.replace(at);
         if is_boot_up {
             node.boot_ups += 1;
@@ -98,15 +100,15 @@ impl Network {
         }
         // The time from a boot-up to the first heartbeat may be shorter.
         if let Some(last) = last
-            && before != Some(state(0))
+            && before != Some(nmt_state(0))
             && at > last
         {
             node.interval = Some(at.saturating_duration_since(last));
         }
         if was_gone {
-            self.event(at, format!("node {id} is back: {}", state(byte)));
-        } else if before != Some(state(byte)) {
-            self.event(at, format!("node {id}: {}", state(byte)));
+            self.event(at, format!("node {id} is back: {}", nmt_state(byte)));
+        } else if before != Some(nmt_state(byte)) {
+            self.event(at, format!("node {id}: {}", nmt_state(byte)));
         }
     }
 
@@ -153,7 +155,7 @@ impl Network {
             let words = format!("node {id} does not answer by SDO who it is");
             return self.event(at, words);
         };
-        let text = first.lss_address.as_ref().map_or("unknown".into(), address::text);
+        let text = first.lss_address.map_or("unknown".into(), |address| address.to_string());
         let name = first.name.clone().unwrap_or_default();
         node.row = Row { state: state.or(first.state), ..first };
         let now = node.row.lss_address;

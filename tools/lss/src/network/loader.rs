@@ -4,12 +4,15 @@ mod status;
 
 use std::time::{Duration, Instant};
 
-use can_bus::sdo;
+use can_bus::sdo::{self, Error};
 use canopen_node::NodeId;
 use program_update::{State, header::HEADER_LEN};
 
 use super::nodes;
-use crate::{failure::Failure, session::Session};
+use crate::{
+    failure::{Failure, Result},
+    session::Session,
+};
 pub use status::words;
 
 /// An object.
@@ -70,31 +73,30 @@ pub struct Installed {
 }
 
 /// A node, and what it is doing, for the person who waits.
-pub struct Loader<'s, 'a> {
-    session: &'s mut Session<'a>,
+pub struct Loader<'s> {
+    session: &'s mut Session,
     id: u8,
     who: &'s str,
 }
 
-impl<'s, 'a> Loader<'s, 'a> {
-    pub fn new(session: &'s mut Session<'a>, id: NodeId, who: &'s str) -> Self {
+impl<'s> Loader<'s> {
+    pub fn new(session: &'s mut Session, id: NodeId, who: &'s str) -> Self {
         Self { session, id: id.get(), who }
     }
 
     /// Why the node has no program download, if it has none, in words.
-    pub fn misses(&mut self) -> Result<Option<String>, Failure> {
+    pub fn misses(&mut self) -> Result<Option<String>> {
         match self.try_read(STATUS)? {
-            Err(why) if why.starts_with("abort") => Ok(Some(format!(
-                "it has no program download (1F57h: {}). Its program was made without a loader: only a debug probe installs \
-                 one, with factory.hex",
-                sdo::in_words(&why)
+            Err(why @ Error::Abort(_)) => Ok(Some(format!(
+                "it has no program download (1F57h: {why}). Its program was made without a loader: only a debug probe installs \
+                 one, with factory.hex"
             ))),
             _ => Ok(None),
         }
     }
 
     /// What is installed, when nothing is under way any more.
-    pub fn installed(&mut self) -> Result<Installed, Failure> {
+    pub fn installed(&mut self) -> Result<Installed> {
         self.idle("waiting until it is ready")?;
         let runs = self.read(CONTROL)? == START;
         let crc = self.read(SOFTWARE)?;
@@ -103,9 +105,9 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Lets the node run its loader, NMT pre-operational.
-    pub fn stop(&mut self) -> Result<(), Failure> {
+    pub fn stop(&mut self) -> Result {
         self.say("stopping the program");
-        let mut why = String::new();
+        let mut why = Error::NoAnswer;
         for _ in 0..ATTEMPTS {
             self.session.bus.nmt(ENTER_PRE_OPERATIONAL, self.id)?;
             match self.write(CONTROL, STOP)? {
@@ -121,18 +123,18 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Sends the header before anything is erased: the loader refuses one that is not for it.
-    pub fn check(&mut self, header: &[u8]) -> Result<(), Failure> {
+    pub fn check(&mut self, header: &[u8]) -> Result {
         self.say("checking");
         let bus = &mut self.session.bus;
         match sdo::download(bus, self.id, DATA, header, DOWNLOAD_WAIT)? {
-            Err(why) if why == NOT_STORED => self.fail("it refuses the file", &why),
+            Err(why @ Error::Abort(NOT_STORED)) => self.fail("it refuses the file", &why),
             // It is not cleared, as it says.
             _ => Ok(()),
         }
     }
 
     /// Lets the node clear, unless it has this program; returns whether it does. Does not wait for the end.
-    pub fn begin(&mut self, crc: u32, header: &[u8]) -> Result<bool, Failure> {
+    pub fn begin(&mut self, crc: u32, header: &[u8]) -> Result<bool> {
         let installed = self.installed()?;
         if installed.crc == crc {
             return Ok(false);
@@ -146,7 +148,7 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Erases the program, and downloads another one whose header is checked: by blocks, and if that fails, by segments.
-    pub fn install(&mut self, file: &[u8]) -> Result<(), Failure> {
+    pub fn install(&mut self, file: &[u8]) -> Result {
         for by_blocks in [true, false] {
             if !by_blocks {
                 // A loader of signed programs clears once for a header.
@@ -171,11 +173,11 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Starts the program that is installed, and confirms it.
-    pub fn start(&mut self, crc: u32) -> Result<Fate, Failure> {
+    pub fn start(&mut self, crc: u32) -> Result<Fate> {
         self.say("starting the program");
         self.session.bus.take_unasked();
         if let Err(why) = self.write(CONTROL, START)?
-            && why != NO_ANSWER
+            && why != Error::NoAnswer
         {
             return self.fail("it does not start the program", &why);
         }
@@ -185,9 +187,9 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Confirms the program that runs.
-    pub fn confirm(&mut self, crc: u32) -> Result<Fate, Failure> {
+    pub fn confirm(&mut self, crc: u32) -> Result<Fate> {
         self.say("confirming the program");
-        let mut why = String::new();
+        let mut why = Error::NoAnswer;
         for _ in 0..ATTEMPTS {
             match self.running() {
                 Ok(runs) if runs == crc => {}
@@ -205,14 +207,13 @@ impl<'s, 'a> Loader<'s, 'a> {
                 Err(error) => why = error,
             }
         }
-        let why = sdo::in_words(&why);
         Ok(Fate::Failed(format!(
             "the program runs, but cannot be confirmed ({why}): the board goes back to the one before"
         )))
     }
 
     /// Lets the node start the program that it has, or the one before; says what runs then.
-    pub fn go_back(&mut self) -> Result<&'static str, Failure> {
+    pub fn go_back(&mut self) -> Result<&'static str> {
         self.say("going back");
         let is_asked = self.write(CONTROL, RESET)?.is_ok();
         Ok(match is_asked.then(|| self.running()) {
@@ -223,7 +224,7 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// The CRC of the program that runs, when one does.
-    fn running(&mut self) -> Result<u32, Failure> {
+    fn running(&mut self) -> Result<u32> {
         let begin = self.session.bus.time();
         let (mut heard, mut busy) = (begin, begin);
         loop {
@@ -256,17 +257,17 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
     }
 
-    fn clear(&mut self) -> Result<(), Failure> {
+    fn clear(&mut self) -> Result {
         self.ask_to_clear()?;
         self.idle("clearing")?;
         self.check_status("it does not clear")
     }
 
-    fn ask_to_clear(&mut self) -> Result<(), Failure> {
+    fn ask_to_clear(&mut self) -> Result {
         let mut outcome = Ok(());
         for _ in 0..ATTEMPTS {
             outcome = self.write(CONTROL, CLEAR)?;
-            if outcome.as_ref().err().is_none_or(|why| why != NO_ANSWER) {
+            if outcome != Err(Error::NoAnswer) {
                 break;
             }
         }
@@ -276,7 +277,7 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
     }
 
-    fn download(&mut self, file: &[u8], by_blocks: bool) -> Result<Result<(), String>, Failure> {
+    fn download(&mut self, file: &[u8], by_blocks: bool) -> Result<Result<(), Error>> {
         let Self { session, id, who } = self;
         let Session { bus, progress, .. } = session;
         let all = file.len().div_ceil(1024);
@@ -288,7 +289,7 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// Waits while the flash is busy.
-    fn idle(&mut self, what: &str) -> Result<(), Failure> {
+    fn idle(&mut self, what: &str) -> Result {
         let begin = self.session.bus.time();
         let mut heard: Instant = begin;
         loop {
@@ -298,7 +299,7 @@ impl<'s, 'a> Loader<'s, 'a> {
                 Ok(status) if status & 1 == 0 => return Ok(()),
                 Ok(_) => heard = now,
                 Err(why) if now.saturating_duration_since(heard) > SILENCE => {
-                    return Err(Failure::NoAnswer(format!("{what}: {}", sdo::in_words(&why))));
+                    return Err(Failure::NoAnswer(format!("{what}: {why}")));
                 }
                 Err(_) => {}
             }
@@ -309,7 +310,7 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
     }
 
-    fn check_status(&mut self, what: &str) -> Result<(), Failure> {
+    fn check_status(&mut self, what: &str) -> Result {
         self.idle("checking")?;
         match self.read(STATUS)? {
             0 => Ok(()),
@@ -318,8 +319,8 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 
     /// The failure after a request was refused: what the node says, or else the abort code.
-    fn fail<T>(&mut self, what: &str, why: &str) -> Result<T, Failure> {
-        if why == NO_ANSWER {
+    fn fail<T>(&mut self, what: &str, why: &Error) -> Result<T> {
+        if *why == Error::NoAnswer {
             return Err(Failure::NoAnswer(format!("{what}: it does not answer any more")));
         }
         match self.try_read(STATUS)? {
@@ -330,29 +331,29 @@ impl<'s, 'a> Loader<'s, 'a> {
         }
     }
 
-    fn read(&mut self, object: Object) -> Result<u32, Failure> {
-        let mut last = String::new();
+    fn read(&mut self, object: Object) -> Result<u32> {
+        let mut last = Error::NoAnswer;
         for _ in 0..ATTEMPTS {
             match self.try_read(object)? {
                 Ok(value) => return Ok(value),
                 Err(why) => last = why,
             }
         }
-        Err(match last == NO_ANSWER {
+        Err(match last == Error::NoAnswer {
             true => Failure::NoAnswer("it does not answer any more".into()),
             false => refused(&format!("{:04X}h cannot be read", object.0), &last),
         })
     }
 
-    fn try_read(&mut self, (index, sub_index): Object) -> Result<Result<u32, String>, Failure> {
+    fn try_read(&mut self, (index, sub_index): Object) -> Result<Result<u32, Error>> {
         Ok(sdo::read_number(&mut self.session.bus, self.id, index, sub_index)?)
     }
 
-    fn write(&mut self, object: Object, value: u32) -> Result<Result<(), String>, Failure> {
+    fn write(&mut self, object: Object, value: u32) -> Result<Result<(), Error>> {
         Ok(sdo::write(&mut self.session.bus, self.id, object, value, 1)?)
     }
 
-    fn glance(&mut self) -> Result<(), Failure> {
+    fn glance(&mut self) -> Result {
         Ok(self.session.bus.pass(GLANCE)?)
     }
 
@@ -362,15 +363,14 @@ impl<'s, 'a> Loader<'s, 'a> {
     }
 }
 
-/// The errors of a transfer that have a meaning here.
-const NO_ANSWER: &str = "no answer";
-const NOT_STORED: &str = "abort 08000020";
+/// The abort code of data that is refused.
+const NOT_STORED: u32 = 0x0800_0020;
 
 /// Whether the transfer has failed, and not the data.
-fn is_of_transfer(why: &str) -> bool {
-    !why.starts_with("abort") || ["abort 0503", "abort 0504"].iter().any(|of| why.starts_with(of))
+fn is_of_transfer(why: &Error) -> bool {
+    !matches!(why, Error::Abort(code) if !matches!(code >> 16, 0x0503 | 0x0504))
 }
 
-fn refused(what: &str, why: &str) -> Failure {
-    Failure::Refused(format!("{what}: {}", sdo::in_words(why)))
+fn refused(what: &str, why: &Error) -> Failure {
+    Failure::Refused(format!("{what}: {why}"))
 }

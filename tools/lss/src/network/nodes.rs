@@ -8,7 +8,10 @@ use std::{
 use can_bus::{bus::bits, sdo};
 use canopen_node::{Frame, NodeId, lss::Address};
 
-use crate::{failure::Failure, session::Session};
+use crate::{
+    failure::{Failure, Result},
+    session::Session,
+};
 
 /// The sub-index of the serial number in object 1018h.
 const SERIAL_NUMBER: u8 = 4;
@@ -26,7 +29,7 @@ const ROUNDS: usize = 2;
 pub type Nodes = BTreeMap<u8, Vec<u32>>;
 
 /// The nodes that answer.
-pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
+pub fn nodes(session: &mut Session) -> Result<Nodes> {
     session.bus.take_unasked();
     session.bus.has_dropped = false;
     let mut answers = Vec::new();
@@ -71,7 +74,7 @@ pub fn nodes(session: &mut Session<'_>) -> Result<Nodes, Failure> {
 
 /// Whether two boards with one LSS address have this node-ID. Answers at the same moment are one frame, so it is asked
 /// several times.
-fn are_two(session: &mut Session<'_>, id: u8) -> Result<bool, Failure> {
+fn are_two(session: &mut Session, id: u8) -> Result<bool> {
     let mut are_two = false;
     for _ in 0..REPEATS {
         are_two |= answers_of(session, id, SERIAL_NUMBER)?.len() > 1;
@@ -80,7 +83,7 @@ fn are_two(session: &mut Session<'_>, id: u8) -> Result<bool, Failure> {
 }
 
 /// The words for boards that LSS cannot tell apart.
-pub fn two(address: &str, id: u8) -> String {
+pub fn two(address: Address, id: u8) -> String {
     format!(
         "2 boards have the LSS address {address}, and both are node {id}. LSS cannot tell them apart: take one off the \
          bus, and let its manufacturer give it another serial number. If there is only one, the adapter forwards each frame \
@@ -89,7 +92,7 @@ pub fn two(address: &str, id: u8) -> String {
 }
 
 /// Asks these nodes for a part of object 1018h, one after the other without a pause for the answers.
-fn ask_identity(session: &mut Session<'_>, ids: &[u8], sub_index: u8) -> Result<(), Failure> {
+fn ask_identity(session: &mut Session, ids: &[u8], sub_index: u8) -> Result {
     let span = bits(EXCHANGE_BITS, session.bus.rate()) + session.bus.latency() / 2;
     for id in ids {
         session.progress.say(|| format!("asking node {id} of 127"));
@@ -100,7 +103,7 @@ fn ask_identity(session: &mut Session<'_>, ids: &[u8], sub_index: u8) -> Result<
 }
 
 /// The answers so far with their node-IDs, 0 for a refusal.
-fn identities(session: &mut Session<'_>, sub_index: u8) -> Vec<(u8, u32)> {
+fn identities(session: &mut Session, sub_index: u8) -> Vec<(u8, u32)> {
     let answers = session.bus.take_unasked().into_iter().filter_map(|received| {
         let cob_id = received.frame.cob_id();
         let number = sdo_answer(&received.frame, sub_index)?;
@@ -111,10 +114,10 @@ fn identities(session: &mut Session<'_>, sub_index: u8) -> Vec<(u8, u32)> {
 
 /// Those of the nodes that tell exactly the LSS address that they have here, each with all four parts.
 pub fn known(
-    session: &mut Session<'_>,
+    session: &mut Session,
     entries: &[(NodeId, Address)],
     nodes: &Nodes,
-) -> Result<BTreeSet<u8>, Failure> {
+) -> Result<BTreeSet<u8>> {
     let serial_number = |(id, address): &(NodeId, Address)| {
         // A node that does not tell its serial number is asked by LSS.
         address.serial_number != 0
@@ -142,7 +145,7 @@ pub fn known(
 }
 
 /// The different serial numbers that nodes with this node-ID tell. Other frames stay unasked.
-pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Failure> {
+pub fn serial_numbers(session: &mut Session, id: u8) -> Result<Vec<u32>> {
     let mut numbers = answers_of(session, id, SERIAL_NUMBER)?;
     numbers.sort_unstable();
     numbers.dedup();
@@ -150,7 +153,7 @@ pub fn serial_numbers(session: &mut Session<'_>, id: u8) -> Result<Vec<u32>, Fai
 }
 
 /// The number in each answer for a part of object 1018h of nodes with this node-ID.
-pub fn answers_of(session: &mut Session<'_>, id: u8, sub_index: u8) -> Result<Vec<u32>, Failure> {
+pub fn answers_of(session: &mut Session, id: u8, sub_index: u8) -> Result<Vec<u32>> {
     session.bus.send_to(0x600 + u16::from(id), &sdo::read_request(0x1018, sub_index))?;
     let cob_id = 0x580 + u16::from(id);
     let is_answer =

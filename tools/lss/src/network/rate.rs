@@ -6,7 +6,7 @@ use can_bus::{bus::bits, explain::explain};
 use canopen_node::{BitRate, lss::Request};
 
 use super::nodes;
-use crate::{failure::Failure, session::Session};
+use crate::{failure::Result, session::Session};
 
 /// The wait for a frame on a bus where nodes send heartbeats, in general one a second.
 pub const HEARTBEAT: Duration = Duration::from_millis(1150);
@@ -40,7 +40,7 @@ impl Sight {
 }
 
 /// The first of these bit rates at which a frame is heard.
-pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<BitRate>, Failure> {
+pub fn heard_at(session: &mut Session, rates: &[BitRate]) -> Result<Option<BitRate>> {
     for &rate in rates {
         session.progress.say(|| format!("listening at {rate}"));
         session.bus.listen(rate)?;
@@ -52,14 +52,14 @@ pub fn heard_at(session: &mut Session<'_>, rates: &[BitRate]) -> Result<Option<B
 }
 
 /// Asks at a bit rate that may be wrong. The adapter stays there.
-pub fn answers_at(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
+pub fn answers_at(session: &mut Session, rate: BitRate) -> Result<Sight> {
     let mut sight = Sight::default();
     ask(session, rate, &mut sight)?;
     Ok(sight)
 }
 
 /// Listens without a sign of life on the bus.
-pub fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure> {
+pub fn listen(session: &mut Session, rate: BitRate) -> Result<Sight> {
     session.bus.listen(rate)?;
     let mut sight = Sight::default();
     for received in session.bus.collect(HEARTBEAT)? {
@@ -72,7 +72,7 @@ pub fn listen(session: &mut Session<'_>, rate: BitRate) -> Result<Sight, Failure
 
 /// Asks by identify non-configured remote slave, again and again in the time in which a board comes that looks for the
 /// bit rate.
-pub fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Result<(), Failure> {
+pub fn ask(session: &mut Session, rate: BitRate, sight: &mut Sight) -> Result {
     session.bus.open(rate)?;
     let until = session.bus.time() + SEARCH + bits(SEARCH_BITS, rate);
     let mut status;
@@ -97,7 +97,7 @@ pub fn ask(session: &mut Session<'_>, rate: BitRate, sight: &mut Sight) -> Resul
 }
 
 /// Asks each node for its serial number, if none has answered so far.
-pub fn name(session: &mut Session<'_>, sight: &mut Sight) -> Result<(), Failure> {
+pub fn name(session: &mut Session, sight: &mut Sight) -> Result {
     if sight.nodes.is_empty() {
         sight.nodes = nodes::nodes(session)?.into_keys().collect();
     }

@@ -1,7 +1,7 @@
 //! What is known about each board: a row for each, with and without a node-ID.
 
-use can_bus::sdo;
-use canopen_node::{NodeId, lss::Address, nmt::State};
+use can_bus::{explain::nmt_state, sdo};
+use canopen_node::{NodeId, lss::Address};
 use serde::{Serialize, Serializer};
 
 use super::{
@@ -10,7 +10,10 @@ use super::{
     rate::HEARTBEAT,
     scan,
 };
-use crate::{address, failure::Failure, session::Session};
+use crate::{
+    failure::{Failure, Result},
+    session::Session,
+};
 
 /// A node, as far as it is known.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -41,6 +44,11 @@ impl Row {
         }
     }
 
+    /// The LSS address, or a dash.
+    pub fn address_text(&self) -> String {
+        self.lss_address.map_or("-".into(), |address| address.to_string())
+    }
+
     /// The board, for a sentence.
     pub fn words(&self) -> String {
         self.node_id.map_or("a board without a node-ID".into(), |id| format!("node {id}"))
@@ -59,7 +67,7 @@ impl Row {
 }
 
 fn as_text<S: Serializer>(address: &Option<Address>, serializer: S) -> Result<S::Ok, S::Error> {
-    address.as_ref().map(address::text).serialize(serializer)
+    address.map(|address| address.to_string()).serialize(serializer)
 }
 
 /// The words for each pair of boards with one LSS address: the second row follows the first.
@@ -67,14 +75,14 @@ pub fn twins(rows: &[Row]) -> Vec<String> {
     let twins = rows.windows(2).filter_map(|pair| {
         let (id, address) = (pair[0].node_id?, pair[0].lss_address?);
         let is_twin = (pair[1].node_id, pair[1].lss_address) == (Some(id), Some(address));
-        is_twin.then(|| nodes::two(&address::text(&address), id))
+        is_twin.then(|| nodes::two(address, id))
     });
     twins.collect()
 }
 
 /// All nodes: those with a node-ID by SDO, or as far as they were heard; the others by Fastscan. No state is changed.
 /// What is not clear comes to the `problems`, in words.
-pub fn rows(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Vec<Row>, Failure> {
+pub fn rows(session: &mut Session, problems: &mut Vec<String>) -> Result<Vec<Row>> {
     let nodes = nodes::nodes(session)?;
     let mut rows = of(session, nodes)?;
     rows.extend(blank(session, problems)?);
@@ -93,7 +101,7 @@ pub fn rows(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Vec
 }
 
 /// Those of nodes that answer.
-pub fn of(session: &mut Session<'_>, nodes: Nodes) -> Result<Vec<Row>, Failure> {
+pub fn of(session: &mut Session, nodes: Nodes) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (id, serial_numbers) in nodes {
         session.progress.say(|| format!("reading the identity of node {id}"));
@@ -103,7 +111,7 @@ pub fn of(session: &mut Session<'_>, nodes: Nodes) -> Result<Vec<Row>, Failure> 
 }
 
 /// Those of the boards without a node-ID.
-pub fn blank(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Vec<Row>, Failure> {
+pub fn blank(session: &mut Session, problems: &mut Vec<String>) -> Result<Vec<Row>> {
     let bit_rate = session.bus.rate().kbit_per_s();
     let mut rows = Vec::new();
     let blank = scan::blank(session, problems)?;
@@ -112,8 +120,7 @@ pub fn blank(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Ve
     }
     for address in blank {
         let node_id = inquired(session, address).or_else(|failure| {
-            let text = address::text(&address);
-            problems.push(format!("board {text}: {}", failure.of_board()?));
+            problems.push(format!("board {address}: {}", failure.of_board()?));
             Ok::<_, Failure>(None)
         })?;
         rows.push(Row {
@@ -127,7 +134,7 @@ pub fn blank(session: &mut Session<'_>, problems: &mut Vec<String>) -> Result<Ve
 }
 
 /// The node-ID of a board that Fastscan has found. Frames may be lost.
-fn inquired(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId>, Failure> {
+fn inquired(session: &mut Session, address: Address) -> Result<Option<NodeId>> {
     let mut outcome = board::select(session, address);
     for _ in 0..2 {
         if let Err(Failure::NoAnswer(_)) = outcome {
@@ -138,16 +145,12 @@ fn inquired(session: &mut Session<'_>, address: Address) -> Result<Option<NodeId
 }
 
 /// The NMT state that a node has reported.
-pub fn heard_state(session: &Session<'_>, id: u8) -> Option<&'static str> {
-    session.bus.heard.get(&id).copied().flatten().map(state)
+pub fn heard_state(session: &Session, id: u8) -> Option<&'static str> {
+    session.bus.heard.get(&id).copied().flatten().map(nmt_state)
 }
 
 /// The rows of a node-ID: one, or one for each node that has it.
-pub fn node(
-    session: &mut Session<'_>,
-    id: u8,
-    serial_numbers: &[u32],
-) -> Result<Vec<Row>, Failure> {
+pub fn node(session: &mut Session, id: u8, serial_numbers: &[u32]) -> Result<Vec<Row>> {
     let is_duplicate = serial_numbers.len() > 1;
     let mut numbers = [None; 3];
     for (number, sub_index) in numbers.iter_mut().zip(1..) {
@@ -160,7 +163,7 @@ pub fn node(
             false => sdo::read_number(&mut session.bus, id, 0x1018, sub_index)?.ok(),
         };
     }
-    let mut text = |index| -> Result<Option<String>, Failure> {
+    let mut text = |index| -> Result<Option<String>> {
         // Two nodes that answer together spoil a transfer in segments.
         if is_duplicate {
             return Ok(None);
@@ -196,25 +199,11 @@ pub fn node(
 
 /// Object 2000h sub 5 of this repository's nodes. On another node that object is anything: there the bit rate in use,
 /// sub 6, is not the adapter's.
-pub fn home_bit_rate(session: &mut Session<'_>, id: u8) -> Result<Option<u16>, Failure> {
+pub fn home_bit_rate(session: &mut Session, id: u8) -> Result<Option<u16>> {
     let Ok(in_use) = sdo::read(&mut session.bus, id, 0x2000, 6)? else { return Ok(None) };
     if in_use != session.bus.rate().kbit_per_s().to_le_bytes() {
         return Ok(None);
     }
     let home = sdo::read(&mut session.bus, id, 0x2000, 5)?.ok();
     Ok(home.and_then(|bytes| Some(u16::from_le_bytes(bytes.try_into().ok()?))))
-}
-
-/// The NMT state in a heartbeat.
-pub fn state(byte: u8) -> &'static str {
-    const OPERATIONAL: u8 = State::Operational as u8;
-    const PRE_OPERATIONAL: u8 = State::PreOperational as u8;
-    const STOPPED: u8 = State::Stopped as u8;
-    match byte {
-        0 => "boot-up",
-        OPERATIONAL => "operational",
-        PRE_OPERATIONAL => "pre-operational",
-        STOPPED => "stopped",
-        _ => "unknown",
-    }
 }

@@ -1,12 +1,11 @@
 //! The boards without a node-ID, by Fastscan. None of them is configured.
 
-use can_bus::explain;
 use canopen_node::lss::{Address, AddressPart, FastscanStep, Request};
 use lss_master::{Outcome, Procedure, Step};
 
 use crate::{
-    address::{self, counted},
-    failure::Failure,
+    address::counted,
+    failure::{Failure, Result},
     session::Session,
 };
 
@@ -18,7 +17,7 @@ const RETRIES: u8 = 3;
 const MOST: usize = 127;
 
 /// Whether a board without a node-ID is there that Fastscan has not found. An answer may be lost.
-pub fn is_anyone_without_fastscan(session: &mut Session<'_>) -> Result<bool, Failure> {
+pub fn is_anyone_without_fastscan(session: &mut Session) -> Result<bool> {
     let request = Request::IdentifyNonConfigured;
     for attempt in 0..RETRIES {
         let caution = u8::from(attempt == 0);
@@ -66,10 +65,7 @@ impl Procedure for Probe {
 /// bit, and never for the last confirmation: it finds them all. Then all that are found go to LSS configuration state,
 /// where they do not answer to Fastscan. Who still answers was missed, since an answer was lost or late. If that does not
 /// end, the reason comes to the `problems`, and those are returned that are known.
-pub fn blank(
-    session: &mut Session<'_>,
-    problems: &mut Vec<String>,
-) -> Result<Vec<Address>, Failure> {
+pub fn blank(session: &mut Session, problems: &mut Vec<String>) -> Result<Vec<Address>> {
     let mut found: Vec<Address> = Vec::new();
     let mut contradictions = 0;
     let mut why = String::new();
@@ -105,7 +101,7 @@ pub fn blank(
             .into();
     }
     for address in doubtful {
-        why += &format!("; board {} does not answer to its selection", address::text(&address));
+        why += &format!("; board {address} does not answer to its selection");
     }
     if !problems.contains(&why) {
         problems.push(why);
@@ -114,7 +110,7 @@ pub fn blank(
 }
 
 /// Brings all boards that were found to LSS configuration state, and no other; forgets those that are not there.
-fn gather(session: &mut Session<'_>, found: &mut Vec<Address>) -> Result<(), Failure> {
+fn gather(session: &mut Session, found: &mut Vec<Address>) -> Result {
     let mut silent = Vec::new();
     'again: loop {
         session.carry_out(Request::SwitchToWaiting)?;
@@ -134,7 +130,7 @@ fn gather(session: &mut Session<'_>, found: &mut Vec<Address>) -> Result<(), Fai
 }
 
 /// Brings a board to LSS configuration state, and leaves the others where they are.
-fn join(session: &mut Session<'_>, address: &Address) -> Result<bool, Failure> {
+fn join(session: &mut Session, address: &Address) -> Result<bool> {
     session.carry_out(Request::Select(AddressPart::VendorId, address.vendor_id))?;
     session.carry_out(Request::Select(AddressPart::ProductCode, address.product_code))?;
     session.carry_out(Request::Select(AddressPart::RevisionNumber, address.revision_number))?;
@@ -145,7 +141,7 @@ fn join(session: &mut Session<'_>, address: &Address) -> Result<bool, Failure> {
 }
 
 /// More boards than a network has are a contradiction: a search for them would not end.
-pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
+pub fn check_count(count: usize, service: &str) -> Result {
     match count > MOST {
         true => Err(Failure::Refused(format!(
             "more than {MOST} boards answer to {service}: a device answers each question. Take boards off the bus until \
@@ -156,19 +152,19 @@ pub fn check_count(count: usize, service: &str) -> Result<(), Failure> {
 }
 
 /// A Fastscan, and how little it trusts silence.
-struct Scan<'s, 'a> {
-    session: &'s mut Session<'a>,
+struct Scan<'s> {
+    session: &'s mut Session,
     caution: u8,
 }
 
-impl Scan<'_, '_> {
+impl Scan<'_> {
     /// Finds the boards whose parts before `part` are the `known` ones; false if the answers contradict each other.
     fn find(
         &mut self,
         mut known: [u32; 4],
         part: AddressPart,
         found: &mut Vec<Address>,
-    ) -> Result<bool, Failure> {
+    ) -> Result<bool> {
         // Silence in the beginning ends the search.
         if !self.ask(0, BEGIN, [0, 0], self.caution.max(1))? {
             return Ok(part == AddressPart::VendorId);
@@ -201,10 +197,9 @@ impl Scan<'_, '_> {
         bit: u8,
         known: usize,
         numbers: &mut Vec<u32>,
-    ) -> Result<(), Failure> {
+    ) -> Result {
         let boards = counted(known + numbers.len(), "board");
-        let part_name = explain::part(part);
-        self.session.progress.say(|| format!("Fastscan: {boards} so far, {part_name}"));
+        self.session.progress.say(|| format!("Fastscan: {boards} so far, {part}"));
         for number in [number, number | 1 << bit] {
             if !self.ask(number, bit, [part as u8; 2], self.caution)? {
                 continue;
@@ -226,7 +221,7 @@ impl Scan<'_, '_> {
         bit_check: u8,
         [sub, next]: [u8; 2],
         caution: u8,
-    ) -> Result<bool, Failure> {
+    ) -> Result<bool> {
         let request = Request::Fastscan(FastscanStep { id_number, bit_check, sub, next });
         self.session.carry_out(Probe { request, caution, is_sent: false })
     }

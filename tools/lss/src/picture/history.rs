@@ -2,17 +2,14 @@
 
 use std::time::Duration;
 
-use can_bus::explain::explain;
+use can_bus::{bus::What, explain::explain};
 use canopen_node::{
     BitRate, Frame, NodeId,
     lss::{self, Address, AddressPart, FastscanStep, Request},
     nmt,
 };
 
-use crate::{
-    address,
-    recorder::{Entry, What},
-};
+use crate::recorder::Entry;
 
 /// Steps of one kind that follow each other within this time are one.
 const PAUSE: Duration = Duration::from_millis(300);
@@ -89,8 +86,8 @@ impl Board {
     /// The LSS address, or the serial number, or nothing.
     pub fn name(&self) -> String {
         match self.parts {
-            [Some(vendor_id), Some(product_code), Some(revision_number), Some(serial_number)] => {
-                address::text(&Address { vendor_id, product_code, revision_number, serial_number })
+            [Some(vendor), Some(product), Some(revision), Some(serial)] => {
+                Address::from([vendor, product, revision, serial]).to_string()
             }
             [.., Some(serial_number)] => format!("serial number {serial_number:08X}"),
             _ => "does not tell its LSS address".into(),

@@ -12,18 +12,21 @@ use super::{
     node::{Node, STAMP},
     sheet::{Sheet, address_words},
 };
-use crate::{failure::Failure, session::Session};
+use crate::{
+    failure::{Failure, Result},
+    session::Session,
+};
 
 /// Writes `node_5.dcf` into the folder, with the values that configure the node with this node-ID; returns its name, and what
 /// has no place there.
 pub fn write(
-    session: &mut Session<'_>,
+    session: &mut Session,
     folder: &Path,
     node: &Node,
     sheet: &Sheet,
     address: &Address,
     id: NodeId,
-) -> Result<String, Failure> {
+) -> Result<String> {
     let (mut values, mut lost) = (BTreeMap::new(), Vec::new());
     for entry in sheet.eds.entries() {
         // The stamp proves values of this board, and not those that a person may write into the file.
@@ -41,7 +44,7 @@ pub fn write(
             None => lost.push(address_words(entry.address, Some(sheet))),
         }
     }
-    let name = format!("node_{}.dcf", id.get());
+    let name = format!("node_{id}.dcf");
     let rate = session.bus.rate();
     let text = content(sheet, &values, &name, &commissioning(node, address, id, rate));
     let path = folder.join(&name);
@@ -57,9 +60,8 @@ pub fn write(
 fn commissioning(node: &Node, address: &Address, id: NodeId, rate: BitRate) -> String {
     let name: String = node.name.as_deref().unwrap_or("").chars().filter(char::is_ascii).collect();
     format!(
-        "[DeviceComissioning]\nNodeID={}\nNodeName={name}\nBaudrate={}\nNetNumber=1\nNetworkName=\nCANopenManager=0\n\
+        "[DeviceComissioning]\nNodeID={id}\nNodeName={name}\nBaudrate={}\nNetNumber=1\nNetworkName=\nCANopenManager=0\n\
          LSS_SerialNumber=0x{:08X}\n",
-        id.get(),
         rate.kbit_per_s(),
         address.serial_number
     )

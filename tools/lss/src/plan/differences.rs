@@ -10,8 +10,8 @@ use super::{
     values::{Change, Values},
 };
 use crate::{
-    address::{self, counted, id_text},
-    failure::Failure,
+    address::{counted, id_text},
+    failure::Result,
     network::rows::Row,
     session::Session,
 };
@@ -102,12 +102,7 @@ impl Plan {
         format!("{changed} of {}", counted(self.nodes.len(), "board"))
     }
 
-    pub fn print_json(&self, session: &mut Session<'_>) -> Result<(), Failure> {
-        let text = serde_json::to_string_pretty(self).map_err(std::io::Error::from)?;
-        Ok(writeln!(session.out, "{text}")?)
-    }
-
-    pub fn print(&self, session: &mut Session<'_>) -> Result<(), Failure> {
+    pub fn print(&self, session: &mut Session) -> Result {
         let out = &mut *session.out;
         let Difference { found, wanted } = self.bit_rate;
         match found == wanted {
@@ -145,8 +140,7 @@ impl Plan {
 
 /// A board that no file names.
 pub fn print_unknown(out: &mut dyn std::io::Write, row: &Row) -> std::io::Result<()> {
-    let address = row.lss_address.as_ref().map_or("-".into(), address::text);
-    let id = id_text(row.node_id.and_then(NodeId::new));
+    let (address, id) = (row.address_text(), id_text(row.node_id.and_then(NodeId::new)));
     writeln!(out, "? {address}  node-ID {id}, not in the files: it stays as it is")
 }
 
@@ -173,7 +167,7 @@ impl NodePlan {
         Self {
             words: node.words(),
             name: node.name.clone(),
-            lss_address: place.map(|place| address::text(&place.address)),
+            lss_address: place.map(|place| place.address.to_string()),
             is_missing,
             differs: !is_missing
                 && (stores_again || node_id.found != node_id.wanted || !values.are_as_wanted()),

@@ -13,7 +13,7 @@ use super::{
     sheet::Sheet,
     table,
 };
-use crate::failure::Failure;
+use crate::failure::{Failure, Result};
 
 /// A network as it is wanted.
 #[derive(Default)]
@@ -24,7 +24,7 @@ pub struct Files {
 
 impl Files {
     /// Reads tables (`.toml`), configuration files of devices (`.dcf`) and lists of nodes (`.cpj`).
-    pub fn read(paths: &[PathBuf]) -> Result<Self, Failure> {
+    pub fn read(paths: &[PathBuf]) -> Result<Self> {
         let mut files = Self::default();
         let mut problems = Vec::new();
         for path in paths {
@@ -72,8 +72,7 @@ impl Files {
             let id = entry.node_id()?;
             for key in entry.others.keys() {
                 problems.push(format!(
-                    "node {}: \"{key}\" is no key of a node: id, address, name, eds, dcf and values are",
-                    id.get()
+                    "node {id}: \"{key}\" is no key of a node: id, address, name, eds, dcf and values are"
                 ));
             }
             let has_values = entry.dcf.is_some();
@@ -98,14 +97,14 @@ impl Files {
         let topology = list.section("Topology").ok_or("there is no [Topology] in it")?;
         let folder = path.parent().unwrap_or(Path::new("."));
         for id in (1..=127).filter_map(NodeId::new) {
-            let key = |kind: &str| format!("node{}{kind}", id.get());
+            let key = |kind: &str| format!("node{id}{kind}");
             if list.number("Topology", &key("Present")).unwrap_or(0) == 0 {
                 continue;
             }
             let source = match topology.get(&key("dcfname")).filter(|name| !name.is_empty()) {
                 // A tool on Windows writes the path with its own separators.
                 Some(file) => Sheet::read(&folder.join(file.replace('\\', "/"))),
-                None => Err(format!("Node{}DCFName is missing", id.get())),
+                None => Err(format!("Node{id}DCFName is missing")),
             };
             let name = topology.get(&key("name")).cloned();
             let source = source.map(|sheet| Source { name, ..Source::dcf(sheet) });
@@ -135,7 +134,7 @@ impl Files {
             }
             Err(why) => whys.push(why),
         }
-        problems.extend(whys.into_iter().map(|why| format!("node {}: {why}", id.get())));
+        problems.extend(whys.into_iter().map(|why| format!("node {id}: {why}")));
     }
 
     /// What several files say differently, and rates that a board does not have.
@@ -144,7 +143,7 @@ impl Files {
         for (number, node) in self.nodes.iter().enumerate() {
             for other in &self.nodes[..number] {
                 if other.id == node.id {
-                    problems.push(format!("node-ID {} is given twice", node.id.get()));
+                    problems.push(format!("node-ID {} is given twice", node.id));
                 }
                 if node.address().is_some() && node.board == other.board {
                     problems.push(format!("{} and {} are one board", other.words(), node.words()));

@@ -9,7 +9,7 @@ use lss_master::InquireNodeId;
 use super::{files::Files, node::Node, sheet::Board};
 use crate::{
     address,
-    failure::Failure,
+    failure::{Failure, Result},
     network::{
         board::{self, Search},
         nodes::{self, Nodes},
@@ -48,11 +48,7 @@ pub struct Found {
 /// Opens the bus at the bit rate that the network has: `given` by the user, or that of the files. If a frame is heard
 /// at only the other of them, it is that: an earlier run has switched the network, or none yet. Nothing is asked at a
 /// bit rate that may be wrong but one question.
-pub fn open(
-    session: &mut Session<'_>,
-    given: Option<BitRate>,
-    wanted: Option<BitRate>,
-) -> Result<(), Failure> {
+pub fn open(session: &mut Session, given: Option<BitRate>, wanted: Option<BitRate>) -> Result {
     let fixed = session.bus.fixed_rate();
     let mut rate = fixed.or(given).or(wanted).unwrap_or(DEFAULT_RATE);
     let other = match given {
@@ -83,10 +79,10 @@ pub type Absent = Vec<(usize, Option<String>)>;
 /// Where these boards are, of which each is to have a node-ID, and is named by its LSS address or is looked for later: at
 /// the node-ID, at that which it tells by SDO, or where LSS finds it. All boards are in LSS waiting state then.
 pub fn places(
-    session: &mut Session<'_>,
+    session: &mut Session,
     nodes: Nodes,
     boards: &[(NodeId, Option<Address>)],
-) -> Result<(Found, Absent), Failure> {
+) -> Result<(Found, Absent)> {
     let named = boards.iter().filter_map(|(id, address)| Some((*id, (*address)?)));
     let known = nodes::known(session, &named.collect::<Vec<_>>(), &nodes)?;
     let mut rest = nodes.clone();
@@ -97,7 +93,7 @@ pub fn places(
     let (mut places, mut absent) = (vec![None; boards.len()], Vec::new());
     for (number, &(id, address)) in boards.iter().enumerate() {
         let Some(address) = address else { continue };
-        session.progress.say(|| format!("looking for node {}", id.get()));
+        session.progress.say(|| format!("looking for node {id}"));
         let row = rows.iter().position(|row| row.lss_address == Some(address));
         let place = match row.map(|row| rows.remove(row)) {
             _ if known.contains(&id.get()) => {
@@ -124,7 +120,7 @@ pub fn places(
 ///
 /// A Fastscan takes long if it finds boards that the files name. So unless the plan is all that is wanted (`is_plan`),
 /// it waits until they have their node-IDs: [`late`].
-pub fn boards(session: &mut Session<'_>, files: &Files, is_plan: bool) -> Result<Found, Failure> {
+pub fn boards(session: &mut Session, files: &Files, is_plan: bool) -> Result<Found> {
     let nodes = nodes::nodes(session)?;
     let boards: Vec<_> = files.nodes.iter().map(|node| (node.id, node.address())).collect();
     let (mut found, absent) = places(session, nodes, &boards)?;
@@ -151,7 +147,7 @@ pub fn boards(session: &mut Session<'_>, files: &Files, is_plan: bool) -> Result
                 let revision_number = address.revision_number;
                 let is_it = |other| Address { revision_number, ..other } == address;
                 let hint = other_revision(unknown, is_it);
-                format!("{words} is missing: {}. {hint}", address::text(&address))
+                format!("{words} is missing: {address}. {hint}")
             }
             (why, _) => format!("{words}: {}", why.unwrap_or_default()),
         });
@@ -160,7 +156,7 @@ pub fn boards(session: &mut Session<'_>, files: &Files, is_plan: bool) -> Result
 }
 
 /// The boards without a node-ID that no file names, if they have not been looked for before.
-pub fn late(session: &mut Session<'_>, found: &mut Found) -> Result<Vec<Row>, Failure> {
+pub fn late(session: &mut Session, found: &mut Found) -> Result<Vec<Row>> {
     if found.is_scanned {
         return Ok(Vec::new());
     }
@@ -170,10 +166,10 @@ pub fn late(session: &mut Session<'_>, found: &mut Found) -> Result<Vec<Row>, Fa
 
 /// The boards without a node-ID beside these.
 fn others(
-    session: &mut Session<'_>,
+    session: &mut Session,
     places: &[Option<Place>],
     problems: &mut Vec<String>,
-) -> Result<Vec<Row>, Failure> {
+) -> Result<Vec<Row>> {
     let mut rows = rows::blank(session, problems)?;
     let known: Vec<Address> = places.iter().flatten().map(|place| place.address).collect();
     // One that tells its address by LSS alone, and is known by that.
@@ -210,8 +206,7 @@ fn other_revision(rows: &[Row], is_it: impl Fn(Address) -> bool) -> String {
     let mut boards = rows.iter().filter_map(|row| row.lss_address);
     match boards.find(|address| is_it(*address)) {
         Some(board) => format!(
-            "But {} answers, with another revision number: if it is the one, write that into the file",
-            address::text(&board)
+            "But {board} answers, with another revision number: if it is the one, write that into the file"
         ),
         None => "Is it on the bus, and has it power?".into(),
     }
@@ -222,11 +217,7 @@ fn place_of(row: &Row) -> Option<Place> {
     Some(Place { address: row.lss_address?, id, is_shared: row.is_duplicate })
 }
 
-fn select(
-    session: &mut Session<'_>,
-    search: &mut Search,
-    address: Address,
-) -> Result<Option<Place>, Failure> {
+fn select(session: &mut Session, search: &mut Search, address: Address) -> Result<Option<Place>> {
     if !search.select(session, address)? {
         return Ok(None);
     }
@@ -252,16 +243,12 @@ fn only(node: &Node, rows: &[Row]) -> Result<usize, String> {
             address::kind_text(&kind),
             other_revision(rows, |other| address::is_of(&other, [kind[0], kind[1], None, kind[3]]))
         )),
-        _ => {
-            let text = |row: &usize| rows[*row].lss_address.as_ref().map(address::text);
-            let boards: Vec<String> = all.iter().filter_map(text).collect();
-            Err(format!(
-                "{} may be each of {} boards, {}: say which one, by address = \"...\" in a table or LSS_SerialNumber in \
+        _ => Err(format!(
+            "{} may be each of {} boards, {}: say which one, by address = \"...\" in a table or LSS_SerialNumber in \
                  the DCF",
-                node.words(),
-                boards.len(),
-                boards.join(", ")
-            ))
-        }
+            node.words(),
+            all.len(),
+            address::list(all.iter().filter_map(|row| rows[*row].lss_address))
+        )),
     }
 }

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     address::{self, counted},
-    failure::Failure,
+    failure::{Failure, Result},
     network::{board, nodes, rows, scan},
     session::Session,
 };
@@ -51,7 +51,7 @@ impl Done {
     }
 
     /// Prints the problems before the end of the run.
-    pub fn tell(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+    pub fn tell(&mut self, session: &mut Session) -> Result {
         session.progress.clear();
         for problem in &self.problems[self.told..] {
             writeln!(session.out, "! {problem}")?;
@@ -63,12 +63,11 @@ impl Done {
     /// Prints that a board has its node-ID, or names it among the problems.
     pub fn note(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         id: NodeId,
         address: Address,
         fate: Fate,
-    ) -> Result<(), Failure> {
-        let (text, number) = (address::text(&address), id.get());
+    ) -> Result {
         let how = match fate {
             Fate::Had => "as in the table",
             Fate::Given { boots: true } => "stored, verified by a reset",
@@ -77,12 +76,12 @@ impl Done {
             }
             Fate::Taken => {
                 self.hold(address, format!(
-                    "another board has node-ID {number}, which the table gives to {text}: give it another one (lss set-id)"
+                    "another board has node-ID {id}, which the table gives to {address}: give it another one (lss set-id)"
                 ));
                 return Ok(());
             }
             Fate::Failed(why) => {
-                self.hold(address, format!("board {text}: {why}"));
+                self.hold(address, format!("board {address}: {why}"));
                 return Ok(());
             }
         };
@@ -90,7 +89,7 @@ impl Done {
             self.new.push((id, address));
         }
         session.progress.clear();
-        Ok(writeln!(session.out, "node {number}  {text}  {how}")?)
+        Ok(writeln!(session.out, "node {id}  {address}  {how}")?)
     }
 }
 
@@ -109,14 +108,13 @@ impl Work {
     /// Selects a board, and asks for its node-ID; `None` if it does not tell, and is named among the problems.
     pub fn select(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         address: Address,
-    ) -> Result<Option<Option<NodeId>>, Failure> {
+    ) -> Result<Option<Option<NodeId>>> {
         match board::select(session, address) {
             Ok(id) => Ok(Some(id)),
             Err(failure) => {
-                let text = address::text(&address);
-                self.done.hold(address, format!("board {text}: {}", failure.of_board()?));
+                self.done.hold(address, format!("board {address}: {}", failure.of_board()?));
                 Ok(None)
             }
         }
@@ -126,11 +124,11 @@ impl Work {
     /// is named among the problems.
     pub fn give(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         (id, address): (NodeId, Address),
         before: Option<NodeId>,
         draft: Option<Draft>,
-    ) -> Result<bool, Failure> {
+    ) -> Result<bool> {
         let fate = match self.node_ids.give(session, address, before, Some(id)) {
             Ok(boots) => Fate::Given { boots },
             Err(failure) => Fate::Failed(failure.of_board()?),
@@ -139,8 +137,7 @@ impl Work {
         if let (true, Some(draft), Some(table)) = (is_done, &draft, &mut self.table)
             && let Err(error) = table.take(draft)
         {
-            let text = address::text(&address);
-            let why = format!("node {} is not in the table: {text}: {error}", id.get());
+            let why = format!("node {id} is not in the table: {address}: {error}");
             self.done.problems.push(why);
         }
         self.done.note(session, id, address, fate)?;
@@ -148,7 +145,7 @@ impl Work {
     }
 
     /// Gives node-IDs to all boards without one.
-    pub fn give_blank(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+    pub fn give_blank(&mut self, session: &mut Session) -> Result {
         self.with_fastscan(session)?;
         let is_anyone_left =
             self.done.held.is_empty() && scan::is_anyone_without_fastscan(session)?;
@@ -165,7 +162,7 @@ impl Work {
         Ok(())
     }
 
-    fn with_fastscan(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+    fn with_fastscan(&mut self, session: &mut Session) -> Result {
         let mut last: Option<Address> = None;
         // A Fastscan would find a board that stays as it is again and again.
         while self.done.held.is_empty() {
@@ -200,7 +197,7 @@ impl Work {
 
     /// Gives node-IDs to boards that do not support Fastscan, found by identify remote slave: those of the products that
     /// the table or this run knows. Returns whether there were any.
-    fn without_fastscan(&mut self, session: &mut Session<'_>) -> Result<bool, Failure> {
+    fn without_fastscan(&mut self, session: &mut Session) -> Result<bool> {
         let known = self.entries().into_iter().chain(self.done.new.iter().copied());
         let products: BTreeSet<(u32, u32)> =
             known.map(|(_, address)| (address.vendor_id, address.product_code)).collect();
@@ -211,8 +208,8 @@ impl Work {
             while let Some(address) = session.carry_out(Find::new(within.clone()))? {
                 // A device that answers each question has no such address.
                 if let Err(failure) = session.carry_out(SelectAlone::new(address)) {
-                    let (text, why) = (address::text(&address), failure.of_board()?);
-                    self.done.problems.push(format!("board {text}: {why}"));
+                    let why = failure.of_board()?;
+                    self.done.problems.push(format!("board {address}: {why}"));
                     break;
                 }
                 self.found(session, address)?;
@@ -224,7 +221,7 @@ impl Work {
     }
 
     /// Gives a board without a node-ID one.
-    pub fn found(&mut self, session: &mut Session<'_>, address: Address) -> Result<(), Failure> {
+    pub fn found(&mut self, session: &mut Session, address: Address) -> Result {
         match self.select(session, address)? {
             Some(None) => self.selected(session, address),
             _ => Ok(()),
@@ -232,11 +229,10 @@ impl Work {
     }
 
     /// Gives the selected board without a node-ID one: that of the table, or a free one and an entry there.
-    fn selected(&mut self, session: &mut Session<'_>, address: Address) -> Result<(), Failure> {
+    fn selected(&mut self, session: &mut Session, address: Address) -> Result {
         let is_it = |entry: &&(NodeId, Address)| entry.1 == address;
-        let text = address::text(&address);
         if let Some((id, _)) = self.done.new.iter().find(is_it) {
-            let why = format!("board {text} has lost node-ID {} again", id.get());
+            let why = format!("board {address} has lost node-ID {id} again");
             self.done.hold(address, why);
             return Ok(());
         }
@@ -249,8 +245,8 @@ impl Work {
         // A board may have come since.
         self.node_ids.note_heard(session);
         let Some(id) = self.free(self.first.get()) else {
-            let first = self.first.get();
-            let why = format!("board {text} needs a node-ID, but none from {first} on is free");
+            let first = self.first;
+            let why = format!("board {address} needs a node-ID, but none from {first} on is free");
             self.done.hold(address, why);
             return Ok(());
         };
@@ -259,7 +255,7 @@ impl Work {
     }
 
     /// Gives another node-ID to each new board whose node-ID a board has that came later; says who shares one still.
-    pub fn part(&mut self, session: &mut Session<'_>) -> Result<(), Failure> {
+    pub fn part(&mut self, session: &mut Session) -> Result {
         let nodes = nodes::nodes(session)?;
         nodes.keys().for_each(|id| self.node_ids.note(*id));
         self.node_ids.note_heard(session);
@@ -272,7 +268,7 @@ impl Work {
             if self.select(session, address)?.is_none() {
                 continue;
             }
-            writeln!(session.out, "another board came with node-ID {}", id.get())?;
+            writeln!(session.out, "another board came with node-ID {id}")?;
             is_moved |= self.give(session, (other, address), Some(id), None)?;
             // The other one has it.
             self.node_ids.note(id.get());
@@ -283,11 +279,10 @@ impl Work {
         let nodes = if is_moved { nodes::nodes(session)? } else { nodes };
         for (id, numbers) in nodes.into_iter().filter(|(_, numbers)| numbers.len() > 1) {
             let rows = rows::node(session, id, &numbers)?;
-            let addresses: Vec<String> =
-                rows.iter().filter_map(|row| row.lss_address.as_ref()).map(address::text).collect();
+            let addresses = address::list(rows.iter().filter_map(|row| row.lss_address));
             let boards = match addresses.is_empty() {
                 true => format!("serial numbers {}", address::parts(&numbers)),
-                false => format!("LSS addresses {}", addresses.join(", ")),
+                false => format!("LSS addresses {addresses}"),
             };
             self.done.problems.push(rows::twins(&rows).pop().unwrap_or_else(|| {
                 format!(

@@ -6,7 +6,10 @@ use can_bus::eds::{self, Entry, Kind};
 use canopen_node::{BitRate, NodeId, lss::Address};
 
 use super::sheet::{Board, LeftOut, Sheet, address_words};
-use crate::{address, failure::Failure};
+use crate::{
+    address,
+    failure::{Failure, Result},
+};
 
 const STORE: u16 = 0x1010;
 pub const STAMP: u16 = 0x1020;
@@ -45,11 +48,11 @@ impl Node {
     /// The words for messages: `node 5 "pump"`.
     pub fn words(&self) -> String {
         let name = self.name.as_ref().map_or_else(String::new, |name| format!(" \"{name}\""));
-        format!("node {}{name}", self.id.get())
+        format!("node {}{name}", self.id)
     }
 
     /// What failed with this board alone, in words; a failure that ends the run stays one.
-    pub fn failed(&self, failure: Failure) -> Result<String, Failure> {
+    pub fn failed(&self, failure: Failure) -> Result<String> {
         Ok(format!("{}: {}", self.words(), failure.of_board()?))
     }
 
@@ -165,10 +168,9 @@ impl Source {
             let kind = [vendor_id, product_code, None, None];
             if !address::is_of(&address, kind) {
                 problems.push(format!(
-                    "{} is the data sheet of {}, and not of {}",
+                    "{} is the data sheet of {}, and not of {address}",
                     sheet.path.display(),
-                    address::kind_text(&kind[..2]),
-                    address::text(&address)
+                    address::kind_text(&kind[..2])
                 ));
             }
         }

@@ -9,7 +9,7 @@ use lss_master::SelectAlone;
 use super::found::{Found, Place};
 use crate::{
     address::id_text,
-    failure::Failure,
+    failure::{Failure, Result},
     network::board::{self, Gift},
     session::Session,
 };
@@ -36,7 +36,7 @@ pub enum Fate {
 
 impl NodeIds {
     /// Those of the boards that were found, and of nodes that were heard.
-    pub fn new(session: &Session<'_>, found: &Found, rate: Option<BitRate>) -> Self {
+    pub fn new(session: &Session, found: &Found, rate: Option<BitRate>) -> Self {
         let taken = found.nodes.iter().map(|(id, numbers)| (*id, numbers.len())).collect();
         let mut node_ids = Self { taken, rate };
         for Place { address, id, .. } in found.places.iter().flatten() {
@@ -58,7 +58,7 @@ impl NodeIds {
     }
 
     /// Takes note of the nodes that send of their own accord.
-    pub fn note_heard(&mut self, session: &Session<'_>) {
+    pub fn note_heard(&mut self, session: &Session) {
         session.bus.heard.keys().for_each(|id| self.note(*id));
     }
 
@@ -70,11 +70,11 @@ impl NodeIds {
     /// counts as taken if this fails, too: the board may take it later.
     pub fn give(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         address: Address,
         before: Option<NodeId>,
         to: Option<NodeId>,
-    ) -> Result<bool, Failure> {
+    ) -> Result<bool> {
         if let Some(to) = to {
             *self.taken.entry(to.get()).or_default() += 1;
         }
@@ -90,12 +90,12 @@ impl NodeIds {
     /// follow, and `tell` gets the number of each board and what became of it. A board that fails has no place any more.
     pub fn give_all(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         ids: &[NodeId],
         places: &mut [Option<Place>],
         stores_again: bool,
-        mut tell: impl FnMut(&mut Session<'_>, usize, Address, Fate) -> Result<(), Failure>,
-    ) -> Result<(), Failure> {
+        mut tell: impl FnMut(&mut Session, usize, Address, Fate) -> Result,
+    ) -> Result {
         let mut waiting = Vec::new();
         for (number, place) in places.iter().enumerate() {
             match place {
@@ -125,7 +125,7 @@ impl NodeIds {
             };
             let Some(place) = &mut places[number] else { continue };
             let address = place.address;
-            session.progress.say(|| format!("node {}: node-ID {}", ids[number].get(), id_text(to)));
+            session.progress.say(|| format!("node {}: node-ID {}", ids[number], id_text(to)));
             let selected = session.carry_out(SelectAlone::new(address));
             let outcome = selected.and_then(|()| match place.id == to {
                 true => {
@@ -157,10 +157,10 @@ impl NodeIds {
     /// Gives the selected board another node-ID. One that is to have none and refuses that gets one that nobody has.
     fn move_to(
         &mut self,
-        session: &mut Session<'_>,
+        session: &mut Session,
         place: &mut Place,
         mut to: Option<NodeId>,
-    ) -> Result<bool, Failure> {
+    ) -> Result<bool> {
         let mut outcome = self.give(session, place.address, place.id, to);
         if to.is_none() && matches!(outcome, Err(Failure::Refused(_))) {
             to = (1..=127).rev().filter_map(NodeId::new).find(|id| !self.is_taken(*id));

@@ -8,7 +8,7 @@ use canopen_node::{NodeId, lss::Address};
 use super::new_boards::Work;
 use crate::{
     address,
-    failure::Failure,
+    failure::Result,
     network::rows::{self, Row},
     session::Session,
 };
@@ -19,12 +19,12 @@ type Board = (NodeId, Address);
 /// Finds a new board for each `missing` one. It must be of the same vendor and product. With `is_agreed` it takes over
 /// if there is one of each, without a question.
 pub fn replace(
-    session: &mut Session<'_>,
+    session: &mut Session,
     work: &mut Work,
     missing: &[Board],
     unknown: &[Row],
     is_agreed: bool,
-) -> Result<(), Failure> {
+) -> Result {
     let table = work.entries();
     let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
     let mut new: Vec<Address> = Vec::new();
@@ -43,10 +43,9 @@ pub fn replace(
             ([place], [board]) if is_agreed => take_over(session, work, *place, *board)?,
             (places, _) if session.person.is_present() => choose(session, work, places, boards)?,
             ([place], [board]) => {
+                let (new, id) = (is_new(place, board), place.0);
                 let why = format!(
-                    "{}: with --yes it takes over node-ID {}. Nothing was done with it",
-                    is_new(place, board),
-                    place.0.get()
+                    "{new}: with --yes it takes over node-ID {id}. Nothing was done with it"
                 );
                 work.done.hold(*board, why);
             }
@@ -62,7 +61,6 @@ pub fn replace(
 
 /// Why nothing was replaced.
 fn several(places: &[Board], boards: &[Address]) -> String {
-    let boards: Vec<String> = boards.iter().map(address::text).collect();
     let (verb, which) = match (places.len(), boards.len()) {
         (1, _) => ("are", "which one takes over"),
         (_, 1) => ("is", "which place it takes over"),
@@ -71,20 +69,20 @@ fn several(places: &[Board], boards: &[Address]) -> String {
     format!(
         "new and of the same product {verb} {}: it is not clear {which}, and nothing was done with them. Run it at a \
          terminal, which asks; or write the new address into the table, or take out what is gone for good",
-        boards.join(", ")
+        address::list(boards)
     )
 }
 
 /// Asks for each place which board takes it over.
 fn choose(
-    session: &mut Session<'_>,
+    session: &mut Session,
     work: &mut Work,
     places: &[Board],
     mut boards: Vec<Address>,
-) -> Result<(), Failure> {
+) -> Result {
     let is_one = places.len() == 1 && boards.len() == 1;
     for place in places {
-        let id = place.0.get();
+        let id = place.0;
         let at = match &boards[..] {
             [] => None,
             [board] if is_one => {
@@ -96,9 +94,8 @@ fn choose(
             }
             boards => {
                 let numbered = (1..).zip(boards);
-                let choices: String = numbered
-                    .map(|(number, board)| format!("\n  {number}  {}", address::text(board)))
-                    .collect();
+                let choices: String =
+                    numbered.map(|(number, board)| format!("\n  {number}  {board}")).collect();
                 let question = format!(
                     "{}. New and of the same product:{choices}\nWhich one takes over node-ID {id}? [its number, Enter = none \
                      of them]",
@@ -118,26 +115,24 @@ fn choose(
 
 /// The words for a place, and the only board that may take it over.
 fn is_new(place: &Board, board: &Address) -> String {
-    format!("{}. Board {} is new and of the same product", is_missing(place), address::text(board))
+    format!("{}. Board {board} is new and of the same product", is_missing(place))
 }
 
 fn is_missing((id, address): &Board) -> String {
-    format!("node {} of the table is missing: {}", id.get(), address::text(address))
+    format!("node {id} of the table is missing: {address}")
 }
 
 /// Gives a board the node-ID of a missing one, and writes it into the table.
 fn take_over(
-    session: &mut Session<'_>,
+    session: &mut Session,
     work: &mut Work,
     (id, missing): Board,
     board: Address,
-) -> Result<(), Failure> {
+) -> Result {
     let Some(before) = work.select(session, board)? else { return Ok(()) };
-    let text = address::text(&board);
     if before != Some(id) && work.node_ids.is_taken(id) {
         let why = format!(
-            "board {text} cannot take over node-ID {}, which another board has: give that another one (lss set-id)",
-            id.get()
+            "board {board} cannot take over node-ID {id}, which another board has: give that another one (lss set-id)"
         );
         work.done.hold(board, why);
         return Ok(());
@@ -145,8 +140,7 @@ fn take_over(
     let table = work.table.as_ref();
     let draft = table.map(|table| table.with_another(id, board)).transpose()?;
     if work.give(session, (id, board), before, draft)? {
-        let missing = address::text(&missing);
-        writeln!(session.out, "node {}  {text}  takes over the place of {missing}", id.get())?;
+        writeln!(session.out, "node {id}  {board}  takes over the place of {missing}")?;
     }
     Ok(())
 }

@@ -11,7 +11,10 @@ use canopen_node::{NodeId, lss::Address};
 use serde::Deserialize;
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
-use crate::{address, failure::Failure};
+use crate::{
+    address,
+    failure::{Failure, Result},
+};
 
 /// The table, and the file that it grows in.
 pub struct Table {
@@ -61,7 +64,7 @@ impl Entry {
 
 impl Table {
     /// Reads the table; a file that does not exist is an empty one.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
+    pub fn read(path: &Path) -> Result<Self> {
         let wrong = |why: String| Failure::Refused(format!("{}: {why}", path.display()));
         let text = text(path).map_err(|error| wrong(error.to_string()))?;
         let content = parse(&text).map_err(wrong)?;
@@ -75,7 +78,7 @@ impl Table {
     }
 
     /// The table with one more entry at its end, beside it. A board gets no node-ID that the table cannot keep.
-    pub fn with(&self, id: NodeId, address: Address) -> Result<Draft, Failure> {
+    pub fn with(&self, id: NodeId, address: Address) -> Result<Draft> {
         self.draft(id, address, |text| {
             let text = text + &entry(id, address);
             // An array of inline tables, for example, does not go on at the end of the file.
@@ -87,10 +90,9 @@ impl Table {
     }
 
     /// The table with another board in the place of a node-ID, beside it.
-    pub fn with_another(&self, id: NodeId, address: Address) -> Result<Draft, Failure> {
+    pub fn with_another(&self, id: NodeId, address: Address) -> Result<Draft> {
         self.draft(id, address, |text| {
-            replaced(&text, id, &address)
-                .ok_or_else(|| format!("it has no node {} any more", id.get()))
+            replaced(&text, id, &address).ok_or_else(|| format!("it has no node {id} any more"))
         })
     }
 
@@ -99,7 +101,7 @@ impl Table {
         id: NodeId,
         address: Address,
         change: impl FnOnce(String) -> Result<String, String>,
-    ) -> Result<Draft, Failure> {
+    ) -> Result<Draft> {
         let text = text(&self.path).map_err(|error| error.to_string());
         let draft = text.and_then(change).and_then(|text| {
             let draft = Draft::new(&self.path, id, address);
@@ -110,9 +112,8 @@ impl Table {
         });
         draft.map_err(|why| {
             Failure::Refused(format!(
-                "{}: {why}. Board {} got no node-ID",
-                self.path.display(),
-                address::text(&address)
+                "{}: {why}. Board {address} got no node-ID",
+                self.path.display()
             ))
         })
     }
@@ -178,8 +179,7 @@ fn text(path: &Path) -> io::Result<String> {
 }
 
 fn entry(id: NodeId, address: Address) -> String {
-    let text = address::text(&address);
-    format!("\n[[node]]\nid = {}\naddress = \"{text}\"\n", id.get())
+    format!("\n[[node]]\nid = {id}\naddress = \"{address}\"\n")
 }
 
 /// Reads the content, in which no node-ID and no address is wrong or given twice.
@@ -188,7 +188,7 @@ pub fn parse(text: &str) -> Result<Content, String> {
     let (mut ids, mut addresses) = (BTreeSet::new(), BTreeSet::new());
     for entry in &content.node {
         let id = entry.node_id()?.get();
-        let address = entry.lss_address()?.map(|address| address::text(&address));
+        let address = entry.lss_address()?.map(|address| address.to_string());
         let is_new = address.as_ref().is_none_or(|address| addresses.insert(address.clone()));
         if !ids.insert(id) || !is_new {
             let address = address.map_or_else(String::new, |address| format!(" or {address}"));
@@ -220,7 +220,7 @@ fn set(table: &mut dyn TableLike, id: NodeId, board: &Address) -> bool {
     let Some(value) = table.get_mut("address").and_then(Item::as_value_mut) else { return false };
     // The comment behind it.
     let decor = value.decor().clone();
-    *value = address::text(board).into();
+    *value = board.to_string().into();
     *value.decor_mut() = decor;
     true
 }

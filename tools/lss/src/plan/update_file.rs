@@ -9,7 +9,10 @@ use program_update::{
 };
 use serde::Serialize;
 
-use crate::{failure::Failure, network::loader::words};
+use crate::{
+    failure::{Failure, Result},
+    network::loader::words,
+};
 
 /// An update file that is complete.
 pub struct UpdateFile {
@@ -33,7 +36,7 @@ pub struct Description {
 
 impl UpdateFile {
     /// Reads a file, and checks all that it says of itself.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
+    pub fn read(path: &Path) -> Result<Self> {
         let refused = |why: String| Failure::Refused(format!("{}: {why}", path.display()));
         let bytes = fs::read(path).map_err(|error| refused(error.to_string()))?;
         let no_file = |status: Status| {

@@ -3,14 +3,21 @@
 
 use std::{collections::BTreeSet, time::Duration};
 
-use can_bus::{eds, sdo};
+use can_bus::{
+    eds,
+    sdo::{self, Error},
+};
 use canopen_node::{NodeId, lss::Address, nmt::State};
 
 use super::{
     node::{Node, STAMP},
     sheet::{LeftOut, pdo},
 };
-use crate::{failure::Failure, network::board::reset, session::Session};
+use crate::{
+    failure::{Failure, Result},
+    network::board::reset,
+    session::Session,
+};
 
 /// The value that stores all parameters, as it is written to 1010h.
 const SAVE: &[u8] = b"save";
@@ -24,10 +31,8 @@ const PRODUCER: u32 = 1 << 30;
 /// The NMT commands start and enter pre-operational.
 const START: u8 = 1;
 const ENTER_PRE_OPERATIONAL: u8 = 128;
-/// The errors of SDO with which the server answers begin with it.
-const ABORT: &str = "abort ";
-/// The one for a read of a value that can only be written.
-const WRITE_ONLY: &str = "abort 06010001";
+/// The error for a read of a value that can only be written.
+const WRITE_ONLY: Error = Error::Abort(0x0601_0001);
 
 /// How the nodes come to their values.
 #[derive(Clone, Copy)]
@@ -93,11 +98,11 @@ impl Values {
 /// Compares the values of the node with this node-ID with the wanted ones: by its stamp alone, if that proves them and
 /// `trusts_stamp`.
 pub fn compare(
-    session: &mut Session<'_>,
+    session: &mut Session,
     id: NodeId,
     node: &Node,
     trusts_stamp: bool,
-) -> Result<Values, Failure> {
+) -> Result<Values> {
     let mut values = Values { are_compared: true, ..Values::default() };
     for left_out in &node.left_out {
         values.left_out.extend(is_left_out(session, id, node, left_out)?);
@@ -146,28 +151,26 @@ pub fn compare(
 
 impl Values {
     /// Leaves a value out that the server does not let read; without an answer of it the board is left alone.
-    fn leave_out(&mut self, node: &Node, address: eds::Address, why: &str) -> Result<(), Failure> {
-        let words = format!("{} cannot be read: {}", node.value_words(address), sdo::in_words(why));
-        match why.starts_with(ABORT) {
-            true => {
+    fn leave_out(&mut self, node: &Node, address: eds::Address, why: &Error) -> Result {
+        let words = format!("{} cannot be read: {why}", node.value_words(address));
+        match why {
+            Error::Abort(_) => {
                 self.left_out.push(words + ". Is it the data sheet of this board?");
                 self.is_stamp_wrong = true;
                 Ok(())
             }
-            false => {
-                Err(Failure::Refused(words + ". Is the node stopped (NMT)? `lss list` shows it"))
-            }
+            _ => Err(Failure::Refused(words + ". Is the node stopped (NMT)? `lss list` shows it")),
         }
     }
 }
 
 /// The words for a value that is left out, unless the board has it.
 fn is_left_out(
-    session: &mut Session<'_>,
+    session: &mut Session,
     id: NodeId,
     node: &Node,
     LeftOut { words, value }: &LeftOut,
-) -> Result<Option<String>, Failure> {
+) -> Result<Option<String>> {
     let Some((address, wanted)) = value else { return Ok(Some(words.clone())) };
     let Some(entry) = node.entry(*address).filter(|entry| entry.can_be_read()) else {
         return Ok(Some(words.clone()));
@@ -179,7 +182,7 @@ fn is_left_out(
         Ok(found) => {
             Some(format!("{words}, and is {}, not {}", entry.text(&found), entry.text(wanted)))
         }
-        Err(why) => Some(format!("{words}: {}", sdo::in_words(&why))),
+        Err(why) => Some(format!("{words}: {why}")),
     })
 }
 
@@ -198,12 +201,12 @@ pub struct Done {
 
 /// Brings the node to the wanted values.
 pub fn apply(
-    session: &mut Session<'_>,
+    session: &mut Session,
     id: NodeId,
     address: &Address,
     node: &Node,
     manner: Manner,
-) -> Result<Done, Failure> {
+) -> Result<Done> {
     let mut values = compare(session, id, node, manner.trusts_stamps)?;
     let left_out = std::mem::take(&mut values.left_out);
     let has_none = node.values.is_empty() && node.stamp.is_none();
@@ -223,8 +226,8 @@ pub fn apply(
 }
 
 /// A node whose values change.
-struct Target<'s, 'a> {
-    session: &'s mut Session<'a>,
+struct Target<'s> {
+    session: &'s mut Session,
     id: NodeId,
     node: &'s Node,
     manner: Manner,
@@ -242,8 +245,8 @@ struct Step {
     found: Option<Vec<u8>>,
 }
 
-impl Target<'_, '_> {
-    fn change(&mut self, address: &Address, values: &Values) -> Result<Done, Failure> {
+impl Target<'_> {
+    fn change(&mut self, address: &Address, values: &Values) -> Result<Done> {
         let refused = self.write_all(&values.changes)?;
         let is_written = |change: &&Change| !refused.contains(&change.address);
         let written: Vec<&Change> = values.changes.iter().filter(is_written).collect();
@@ -269,8 +272,7 @@ impl Target<'_, '_> {
             let found = match sdo::read(&mut self.session.bus, self.id.get(), address.0, address.1)?
             {
                 Err(why) if why == WRITE_ONLY => continue,
-                found => found
-                    .map_err(|why| Failure::Refused(format!("{words}: {}", sdo::in_words(&why))))?,
+                found => found.map_err(|why| Failure::Refused(format!("{words}: {why}")))?,
             };
             if !node.is_as_wanted(*address, &found) {
                 let (found, wanted) = (entry.text(&found), entry.text(wanted));
@@ -294,7 +296,7 @@ impl Target<'_, '_> {
     }
 
     /// Writes what differs: a PDO is off meanwhile, and its COB-ID comes last. Returns what the node refuses.
-    fn write_all(&mut self, changes: &[Change]) -> Result<BTreeSet<eds::Address>, Failure> {
+    fn write_all(&mut self, changes: &[Change]) -> Result<BTreeSet<eds::Address>> {
         let pdo = |change: &Change| pdo(change.address);
         let node = self.node;
         let mut refused = BTreeSet::new();
@@ -331,7 +333,7 @@ impl Target<'_, '_> {
     }
 
     /// Notes what the node refuses; a board that does not answer is a failure.
-    fn is_left_out(&mut self, outcome: Result<(), Failure>) -> Result<bool, Failure> {
+    fn is_left_out(&mut self, outcome: Result) -> Result<bool> {
         match outcome {
             Err(Failure::Refused(words)) => self.left_out.push(words),
             outcome => return outcome.map(|()| false),
@@ -340,7 +342,7 @@ impl Target<'_, '_> {
     }
 
     /// Writes a value. A COB-ID that is in use is switched off first (CiA 301, 1005h and 1014h).
-    fn write_change(&mut self, change: &Change) -> Result<(), Failure> {
+    fn write_change(&mut self, change: &Change) -> Result {
         let Change { address, found, wanted } = change;
         let number = found.as_deref().and_then(|found| found.try_into().ok());
         let off = match (address, number.map(u32::from_le_bytes)) {
@@ -358,7 +360,7 @@ impl Target<'_, '_> {
 
     /// Writes what differs in a PDO with these communication parameters (CiA 301, 7.5.2.36 and 7.5.2.38). If the node
     /// refuses a part, the PDO is as before.
-    fn write_pdo(&mut self, index: u16, changes: &[&Change]) -> Result<(), Failure> {
+    fn write_pdo(&mut self, index: u16, changes: &[&Change]) -> Result {
         let cob_id = (index, 1);
         let Some(wanted) = self.node.values.get(&cob_id) else {
             // Neither mapping nor COB-ID are wanted.
@@ -414,33 +416,32 @@ impl Target<'_, '_> {
         steps
     }
 
-    fn store(&mut self) -> Result<(), Failure> {
+    fn store(&mut self) -> Result {
         let node = self.node;
         self.session.progress.say(|| format!("{}: storing", node.words()));
         self.write((0x1010, 1), SAVE)
     }
 
-    fn write(&mut self, address: eds::Address, bytes: &[u8]) -> Result<(), Failure> {
+    fn write(&mut self, address: eds::Address, bytes: &[u8]) -> Result {
         let bus = &mut self.session.bus;
         sdo::download(bus, self.id.get(), address, bytes, STORE_WAIT)?.map_err(|why| {
-            let meaning = sdo::in_words(&why);
             let words = match (address, self.node.entry(address)) {
-                ((0x1010, _), _) => format!("it cannot store: {meaning}"),
+                ((0x1010, _), _) => format!("it cannot store: {why}"),
                 (_, entry) => {
                     let text = entry.map_or_else(String::new, |entry| entry.text(bytes));
-                    format!("{} cannot be {text}: {meaning}", self.node.value_words(address))
+                    format!("{} cannot be {text}: {why}", self.node.value_words(address))
                 }
             };
-            match why.starts_with(ABORT) {
-                true => Failure::Refused(words),
-                false => Failure::NoAnswer(words),
+            match why {
+                Error::Abort(_) => Failure::Refused(words),
+                _ => Failure::NoAnswer(words),
             }
         })
     }
 }
 
 /// Why a part was not written, and whether `all` that was off meanwhile was `restored`.
-fn or_off(failure: Failure, restored: Result<(), Failure>, all: &str) -> Result<(), Failure> {
+fn or_off(failure: Failure, restored: Result, all: &str) -> Result {
     let now = match restored {
         Ok(()) => "is as before",
         Err(stop @ Failure::Stop(_)) => return Err(stop),

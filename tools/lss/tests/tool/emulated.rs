@@ -2,6 +2,7 @@
 
 use std::{
     cell::{Cell, RefCell, RefMut},
+    io,
     rc::Rc,
     sync::{
         Arc,
@@ -12,7 +13,6 @@ use std::{
 
 use can_bus::{
     adapter::{Adapter, Mode, Received, Status},
-    bus::Bus,
     person::Person,
     stop::Stop,
 };
@@ -25,7 +25,7 @@ use canopen_node::{
 use clap::Parser;
 use emulator::{Time, network::Network};
 use firmware::device::DEVICE;
-use lss::{Arguments, Recorder, Session, Shows};
+use lss::{Arguments, Session, Shows};
 use testkit::{
     flash::BoardFlash,
     image::Firmware,
@@ -180,28 +180,42 @@ impl Boards {
     }
 }
 
+/// Where a command writes its results.
+#[derive(Clone, Default)]
+struct Out(Rc<RefCell<Vec<u8>>>);
+
+impl io::Write for Out {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.borrow_mut().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Runs `lss` with these arguments on an adapter, in a session that `prepare` changes first.
 pub fn run(
     adapter: Box<dyn Adapter>,
     is_interrupted: &Arc<AtomicBool>,
     arguments: &str,
-    prepare: impl FnOnce(&mut Session<'_>),
+    prepare: impl FnOnce(&mut Session),
 ) -> Outcome {
     let words = ["lss"].into_iter().chain(arguments.split_whitespace());
-    let arguments = Arguments::try_parse_from(words).expect("a command line");
-    let recorder = Recorder::new(adapter, arguments.log.as_deref(), arguments.explain);
-    let mut recorder = recorder.expect("a log that can be written");
-    let record = arguments.svg.is_some().then(|| recorder.keep());
-    let bus = Bus::new(Box::new(recorder), Duration::from_millis(1), Arc::clone(is_interrupted));
-    let mut out = Vec::new();
-    let mut session = Session::new(bus, &mut out, Shows::Nothing);
-    session.record = record;
+    let is_prompt = !arguments.contains("--latency");
+    let mut arguments = Arguments::try_parse_from(words).expect("a command line");
+    if is_prompt {
+        arguments.latency = 1;
+    }
+    let is_interrupted = Arc::clone(is_interrupted);
+    let out = Out::default();
+    let results = Box::new(out.clone());
+    let session = Session::new(adapter, &arguments, is_interrupted, results, Shows::Nothing);
+    let mut session = session.expect("a log that can be written");
     prepare(&mut session);
     let outcome = session.run(&arguments);
-    let slow_answer = session.slow_answer;
-    let twice = std::mem::take(&mut session.twice);
-    let remarks = std::mem::take(&mut session.remarks);
-    let text = String::from_utf8(out).expect("UTF-8");
+    let Session { slow_answer, twice, remarks, .. } = session;
+    let text = String::from_utf8(out.0.take()).expect("UTF-8");
     let (code, error) = match outcome {
         Ok(()) => (0, String::new()),
         Err(failure) => (failure.exit_code(), failure.to_string()),
@@ -223,8 +237,7 @@ pub fn address_text(board: usize) -> String {
 
 /// An LSS address as the tool writes it.
 pub fn text(address: Address) -> String {
-    let parts: [u32; 4] = address.into();
-    parts.map(|part| format!("{part:08X}")).join(":")
+    address.to_string()
 }
 
 impl Adapter for Boards {

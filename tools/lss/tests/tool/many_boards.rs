@@ -1,18 +1,17 @@
 //! Large networks of slaves in the process at 1 Mbit/s: how long they take, and what faults do to them.
 
 use std::{
+    cell::Cell,
     collections::BTreeSet,
     fs,
     io::{self, Write},
+    mem,
     ops::RangeInclusive,
+    rc::Rc,
     sync::Arc,
-    time::Duration,
 };
 
-use can_bus::bus::Bus;
 use canopen_node::{BitRate, Frame, NodeId, Settings, lss::Address};
-use clap::Parser;
-use lss::{Arguments, Session, Shows};
 use testkit::{
     flash::BoardFlash,
     frames,
@@ -21,7 +20,10 @@ use testkit::{
     slave_bus::{BusAdapter, Habits, Happening, SlaveBus},
 };
 
-use crate::{assign::new_file, emulated::text};
+use crate::{
+    assign::new_file,
+    emulated::{run, text},
+};
 
 const RATE: BitRate = BitRate::Kbit1000;
 /// The node-ID of a slave without one.
@@ -46,21 +48,22 @@ struct Outcome {
 /// What a command prints, and when.
 struct Printed {
     adapter: BusAdapter,
+    out: Box<dyn Write>,
     text: Vec<u8>,
-    last_known: u64,
+    last_known: Rc<Cell<u64>>,
 }
 
 impl Write for Printed {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.text.extend(bytes);
         if self.text.ends_with(b"as in the table\n") {
-            self.last_known = self.adapter.bus().now();
+            self.last_known.set(self.adapter.bus().now());
         }
-        Ok(bytes.len())
+        self.out.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+        self.out.flush()
     }
 }
 
@@ -72,20 +75,25 @@ impl Slaves {
 
     /// Runs `lss` by an adapter without a latency of its own.
     fn lss(&self, arguments: &str) -> Outcome {
-        let words = ["lss"].into_iter().chain(arguments.split_whitespace());
-        let arguments = Arguments::try_parse_from(words).expect("a command line");
-        let bus = Bus::new(Box::new(self.adapter.clone()), Duration::ZERO, Arc::default());
+        let arguments = format!("{arguments} --latency 0");
         let begin = self.adapter.bus().now();
-        let mut out =
-            Printed { adapter: self.adapter.clone(), text: Vec::new(), last_known: begin };
-        let (code, error) = match Session::new(bus, &mut out, Shows::Nothing).run(&arguments) {
-            Ok(()) => (0, String::new()),
-            Err(failure) => (failure.exit_code(), failure.to_string()),
-        };
-        let text = String::from_utf8(out.text).expect("UTF-8");
+        let last_known = Rc::new(Cell::new(begin));
+        let adapter = Box::new(self.adapter.clone());
+        let outcome = run(adapter, &Arc::default(), &arguments, |session| {
+            let out = mem::replace(&mut session.out, Box::new(io::sink()));
+            let (adapter, last_known) = (self.adapter.clone(), Rc::clone(&last_known));
+            session.out = Box::new(Printed { adapter, out, text: Vec::new(), last_known });
+        });
         let us = self.adapter.bus().now() - begin;
-        println!("{} ms:\n{text}{error}", us / 1_000);
-        Outcome { text, code, error, us, us_to_last_known: out.last_known - begin }
+        println!("{} ms", us / 1_000);
+        let us_to_last_known = last_known.get() - begin;
+        Outcome {
+            text: outcome.text,
+            code: outcome.code,
+            error: outcome.error,
+            us,
+            us_to_last_known,
+        }
     }
 
     fn pass_ms(&self, ms: u64) {

@@ -155,7 +155,7 @@ impl Fleet {
     /// Runs `lss` while a person answers.
     pub fn lss_with(&self, person: Person, arguments: &str) -> Outcome {
         self.record.borrow_mut().sent.clear();
-        let prepare = |session: &mut Session<'_>| session.person = person;
+        let prepare = |session: &mut Session| session.person = person;
         run(Box::new(self.clone()), &self.is_interrupted, arguments, prepare)
     }
 
