@@ -2,7 +2,10 @@
 
 use std::{fmt::Display, ops::RangeInclusive};
 
-use canopen_node::{NodeId, lss::Address};
+use canopen_node::{
+    NodeId,
+    lss::{Address, AddressPart, Request},
+};
 
 /// Things in a sentence, with commas between them.
 pub fn list<T: Display>(things: impl IntoIterator<Item = T>) -> String {
@@ -24,6 +27,14 @@ pub fn is_of(address: &Address, kind: [Option<u32>; 4]) -> bool {
 /// Parts of LSS addresses in hexadecimal, with commas between them.
 pub fn parts(numbers: &[u32]) -> String {
     list(numbers.iter().map(|number| format!("{number:08X}")))
+}
+
+/// The requests that bring the slave with this LSS address to LSS configuration state; it answers the last one.
+pub fn selection(address: Address) -> [Request; 4] {
+    use AddressPart::{ProductCode, RevisionNumber, SerialNumber, VendorId};
+    let parts = [VendorId, ProductCode, RevisionNumber, SerialNumber];
+    let numbers: [u32; 4] = address.into();
+    parts.map(|part| Request::Select(part, numbers[part as usize]))
 }
 
 /// A node-ID in words.
@@ -104,46 +115,5 @@ pub fn assigned(text: &str) -> Result<Assigned, String> {
             Ok(id) => Ok(Assigned(Some(id))),
             Err(words) => Err(format!("{words}, or none")),
         },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_address_is_read_as_it_is_written() {
-        let written = "00000000:4C535334:00010000:515884C7";
-        assert_eq!(address(written).map(|address| address.to_string()), Ok(written.to_owned()));
-        assert_eq!(address("0x1:2:3:4").map(|address| address.vendor_id), Ok(1));
-        for wrong in ["", "1:2:3", "1:2:3:4:5", "1:2:3:x"] {
-            assert!(address(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn only_one_thing_has_no_plural() {
-        let texts = [0, 1, 2].map(|count| counted(count, "board"));
-        assert_eq!(texts, ["0 boards", "1 board", "2 boards"]);
-    }
-
-    #[test]
-    fn ranges_include_both_ends() {
-        assert_eq!(range("1276..2468"), Ok(1276..=2468));
-        assert_eq!(range("0x10..0x1F"), Ok(16..=31));
-        assert_eq!(range("7"), Ok(7..=7));
-        for wrong in ["", "2..1", "1..", "..", "1-2", "4294967296"] {
-            assert!(range(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn a_node_id_may_be_none() {
-        assert_eq!(assigned("none"), Ok(Assigned(None)));
-        assert_eq!(assigned("127"), Ok(Assigned(NodeId::new(127))));
-        assert_eq!(assigned("0x10"), Ok(Assigned(NodeId::new(16))));
-        for wrong in ["0", "128", "255", ""] {
-            assert!(assigned(wrong).is_err(), "{wrong}");
-        }
     }
 }

@@ -1,10 +1,10 @@
 //! The command line.
 
-use std::{ops::RangeInclusive, path::PathBuf};
+use std::{ffi::OsString, ops::RangeInclusive, path::PathBuf};
 
 use can_bus::adapter::{Place, bit_rate};
 use canopen_node::{BitRate, NodeId, lss::Address};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 
 use crate::{
@@ -56,6 +56,23 @@ pub struct Arguments {
     pub explain: bool,
     #[command(subcommand)]
     pub command: Command,
+    /// The name of the command.
+    #[arg(skip)]
+    pub name: String,
+}
+
+impl Arguments {
+    /// Reads a command line with the name of the program.
+    ///
+    /// # Errors
+    /// It is wrong, or a request for help.
+    pub fn read<T: Into<OsString> + Clone>(
+        words: impl IntoIterator<Item = T>,
+    ) -> Result<Self, clap::Error> {
+        let matches = Self::command().try_get_matches_from(words)?;
+        let name = matches.subcommand_name().unwrap_or_default().to_owned();
+        Ok(Self { name, ..Self::from_arg_matches(&matches)? })
+    }
 }
 
 /// The board that a command is for.
@@ -236,34 +253,6 @@ pub enum Command {
     Adapters,
     /// Print the completion of the commands for a shell
     Completion { shell: Shell },
-}
-
-impl Command {
-    /// The command in the title of a picture.
-    pub fn title(&self) -> String {
-        let name = match self {
-            Self::Find { .. } => "find",
-            Self::List { .. } => "list",
-            Self::Assign(_) => "assign",
-            Self::Apply(_) => "apply",
-            Self::SetRate { rate, .. } => return format!("lss set-rate {}", rate.kbit_per_s()),
-            Self::Update(_) => "update",
-            Self::Start(_) => "start",
-            Self::Stop(_) => "stop",
-            Self::Reset(_) => "reset",
-            Self::Read(_) => "read",
-            Self::Write { .. } => "write",
-            Self::Adapters => "adapters",
-            Self::Inquire { .. } => "inquire",
-            Self::Blink { .. } => "blink",
-            Self::Identify(_) => "identify",
-            Self::SetId { .. } => "set-id",
-            Self::Store(_) => "store",
-            Self::Raw { .. } => "raw",
-            Self::Completion { .. } => "completion",
-        };
-        format!("lss {name}")
-    }
 }
 
 impl Command {

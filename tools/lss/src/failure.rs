@@ -93,34 +93,3 @@ impl From<Error> for Failure {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_refusal_names_the_request_and_the_reason() {
-        let refused =
-            |request, code| words(Error::Refused { request, code, manufacturer_code: None });
-        assert_eq!(
-            refused(Request::ConfigureBitTiming { table: 0, index: 5 }, 1),
-            "configure bit timing: table 0, index 5 is refused: not supported"
-        );
-        assert_eq!(
-            refused(Request::StoreConfiguration, 2),
-            "store configuration is refused: the storage medium failed"
-        );
-        assert_eq!(words(Error::NoAnswer(Request::InquireNodeId)), "no answer to inquire node-ID");
-    }
-
-    #[test]
-    fn each_kind_of_failure_has_its_exit_code() {
-        let codes = [
-            Failure::Refused(String::new()),
-            Failure::NoAnswer(String::new()),
-            Stop::NoAdapter(String::new()).into(),
-            Stop::Interrupted.into(),
-        ];
-        assert_eq!(codes.map(|failure| failure.exit_code()), [1, 3, 4, 130]);
-    }
-}

@@ -9,13 +9,13 @@ use std::{
     },
 };
 
-use clap::{CommandFactory, Parser, error::ErrorKind};
+use clap::{CommandFactory, error::ErrorKind};
 
 use can_bus::{adapter, person::Person, stop::Stop};
 use lss::{Arguments, Command, Failure, Screen, Session, Shows};
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = Arguments::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
     let is_interrupted = Arc::new(AtomicBool::new(false));
     match run(&arguments, is_interrupted) {
         Ok(()) => ExitCode::SUCCESS,

@@ -28,7 +28,10 @@ impl Session {
         if let Some(Record { entries, time_of_day }) = &self.record {
             let adapter = self.bus.description();
             let caption = Caption {
-                title: arguments.command.title(),
+                title: match arguments.command {
+                    Command::SetRate { rate, .. } => format!("lss set-rate {}", rate.kbit_per_s()),
+                    _ => format!("lss {}", arguments.name),
+                },
                 line: format!("{adapter}, from {}", picture::date_and_time(*time_of_day)),
                 failure: outcome.as_ref().err().map(ToString::to_string),
             };

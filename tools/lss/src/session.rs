@@ -11,8 +11,11 @@ use can_bus::{
     bus::Bus,
     person::{PATIENCE, Person},
 };
-use canopen_node::{BitRate, lss::Request};
-use lss_master::Procedure;
+use canopen_node::{
+    BitRate, NodeId,
+    lss::{Address, Request},
+};
+use lss_master::{InquireNodeId, Procedure, SelectAlone};
 use serde::Serialize;
 
 use crate::{
@@ -127,6 +130,12 @@ impl Session {
     pub fn end(&mut self) {
         self.bus.insist();
         let _ = self.bus.request(Request::SwitchToWaiting).and_then(|()| self.bus.flush());
+    }
+
+    /// Brings a board to LSS configuration state, and all others to LSS waiting state; returns its node-ID.
+    pub fn select(&mut self, address: Address) -> Result<Option<NodeId>> {
+        self.carry_out(SelectAlone::new(address))?;
+        self.carry_out(InquireNodeId)
     }
 
     /// Carries out a procedure of the LSS master.

@@ -45,18 +45,18 @@ pub fn assign(session: &mut Session, arguments: &Assign) -> Result {
         None => (Found { nodes, ..Found::default() }, Absent::new()),
     };
     let node_ids = NodeIds::new(session, &found, None);
-    let mut work = Work { first: arguments.first, table, node_ids, done: Done::default() };
-    let outcome = carry_out(session, &mut work, found, absent, arguments);
+    let mut work = Work { session, first: arguments.first, table, node_ids, done: Done::default() };
+    let outcome = carry_out(&mut work, found, absent, arguments);
     let board = |(id, address): &(NodeId, Address)| serde_json::json!({ "node_id": id.get(), "lss_address": address.to_string() });
     let boards: Vec<_> = work.done.new.iter().map(board).collect();
-    session.found(&serde_json::json!({ "boards": boards, "problems": work.done.problems }))?;
+    work.session.found(&serde_json::json!({ "boards": boards, "problems": work.done.problems }))?;
     match outcome {
         Ok(()) => {}
         Err(failure) if work.done.problems.is_empty() => return Err(failure),
         Err(failure) => match failure.of_board() {
             Ok(words) => work.done.problems.push(words),
             Err(stop) => {
-                work.done.tell(session)?;
+                work.done.tell(work.session)?;
                 return Err(stop);
             }
         },
@@ -64,33 +64,27 @@ pub fn assign(session: &mut Session, arguments: &Assign) -> Result {
     Failure::of(&work.done.problems)
 }
 
-fn carry_out(
-    session: &mut Session,
-    work: &mut Work,
-    mut found: Found,
-    absent: Absent,
-    arguments: &Assign,
-) -> Result {
+fn carry_out(work: &mut Work<'_>, mut found: Found, absent: Absent, arguments: &Assign) -> Result {
     let is_shared = found.nodes.values().any(|numbers| numbers.len() > 1);
     match arguments.one_at_a_time {
-        true => one_at_a_time(session, work)?,
+        true => one_at_a_time(work)?,
         false => {
-            let missing = of_the_table(session, work, &mut found.places, absent)?;
+            let missing = of_the_table(work, &mut found.places, absent)?;
             if !missing.is_empty() {
-                replace(session, work, &missing, &found.unknown, arguments.yes)?;
+                replace(work, &missing, &found.unknown, arguments.yes)?;
             }
-            work.give_blank(session)?;
+            work.give_blank()?;
         }
     }
     if !work.done.new.is_empty() || is_shared {
-        work.part(session)?;
+        work.part()?;
     }
-    left_out(session, work, &found.unknown)?;
+    left_out(work, &found.unknown)?;
     if work.done.new.is_empty() && work.done.problems.is_empty() {
-        writeln!(session.out, "no board needs a node-ID")?;
+        writeln!(work.session.out, "no board needs a node-ID")?;
     }
     if arguments.power_check
-        && let Err(failure) = power::check(session)
+        && let Err(failure) = power::check(work.session)
     {
         work.done.problems.push(failure.of_board()?);
     }
@@ -99,8 +93,7 @@ fn carry_out(
 
 /// Gives the boards of the table their node-IDs; returns the missing ones.
 fn of_the_table(
-    session: &mut Session,
-    work: &mut Work,
+    work: &mut Work<'_>,
     places: &mut [Option<Place>],
     absent: Absent,
 ) -> Result<Vec<(NodeId, Address)>> {
@@ -110,11 +103,11 @@ fn of_the_table(
         let (id, address) = entries[number];
         match why {
             None => missing.push(entries[number]),
-            Some(why) => work.done.note(session, id, address, Fate::Failed(why))?,
+            Some(why) => work.done.note(work.session, id, address, Fate::Failed(why))?,
         }
     }
     let ids: Vec<NodeId> = entries.iter().map(|(id, _)| *id).collect();
-    let Work { node_ids, done, .. } = work;
+    let Work { session, node_ids, done, .. } = work;
     node_ids.give_all(session, &ids, places, false, |session, number, address, fate| {
         done.note(session, ids[number], address, fate)
     })?;
@@ -122,9 +115,9 @@ fn of_the_table(
 }
 
 /// Names the boards that had a node-ID before, and that the table does not have.
-fn left_out(session: &mut Session, work: &Work, unknown: &[Row]) -> Result {
+fn left_out(work: &mut Work<'_>, unknown: &[Row]) -> Result {
     let Some(Table { entries, ids, .. }) = &work.table else { return Ok(()) };
-    session.progress.clear();
+    work.session.progress.clear();
     for row in unknown {
         let is_told = |address: &Address| {
             work.done.held.contains(address) || entries.iter().any(|(_, known)| known == address)
@@ -140,12 +133,12 @@ fn left_out(session: &mut Session, work: &Work, unknown: &[Row]) -> Result {
         let id = row.id_text();
         match row.lss_address {
             Some(address) => writeln!(
-                session.out,
+                work.session.out,
                 "node {id}  {address}  is not in the table: write an entry for it, or take its node-ID away (lss set-id none \
                  --reset --store --address {address}) and assign again"
             )?,
             None => writeln!(
-                session.out,
+                work.session.out,
                 "node {id}  -  is not in the table, and does not say its LSS address"
             )?,
         }
@@ -154,41 +147,41 @@ fn left_out(session: &mut Session, work: &Work, unknown: &[Row]) -> Result {
 }
 
 /// Gives node-IDs to boards that a person plugs in one after the other, and says which it is.
-fn one_at_a_time(session: &mut Session, work: &mut Work) -> Result {
-    let mut until = session.bus.time();
+fn one_at_a_time(work: &mut Work<'_>) -> Result {
+    let mut until = work.session.bus.time();
     let mut told = Vec::new();
     let mut is_any = false;
     let mut is_next = true;
     loop {
         if is_next {
-            until = session.bus.time() + HANDS;
-            session.bus.take_unasked();
-            session.progress.clear();
+            until = work.session.bus.time() + HANDS;
+            work.session.bus.take_unasked();
+            work.session.progress.clear();
             let seconds = HANDS.as_secs();
-            writeln!(session.out, "plug in the next board, within {seconds} s; Enter ends")?;
-            session.out.flush()?;
+            writeln!(work.session.out, "plug in the next board, within {seconds} s; Enter ends")?;
+            work.session.out.flush()?;
         }
-        session.bus.pass(LOOK)?;
-        let is_over = session.bus.time() >= until;
-        if is_over || session.person.answer(|| Ok::<_, Failure>(false))?.is_some() {
+        work.session.bus.pass(LOOK)?;
+        let is_over = work.session.bus.time() >= until;
+        if is_over || work.session.person.answer(|| Ok::<_, Failure>(false))?.is_some() {
             break;
         }
-        is_next = named(session, work)?;
-        let mut blank = scan::blank(session, &mut work.done.problems)?;
+        is_next = named(work)?;
+        let mut blank = scan::blank(work.session, &mut work.done.problems)?;
         // One that was pulled out may be tried again.
         work.done.held.retain(|address| blank.contains(address));
         blank.retain(|address| !work.done.held.contains(address));
         match blank[..] {
             [address] => {
                 let before = work.done.count();
-                work.found(session, address)?;
-                work.done.tell(session)?;
+                work.found(address)?;
+                work.done.tell(work.session)?;
                 is_next |= work.done.count() != before;
             }
             [_, ..] if blank != told => {
                 let boards = address::list(&blank);
                 writeln!(
-                    session.out,
+                    work.session.out,
                     "several boards have no node-ID: {boards}. Leave one of them"
                 )?;
             }
@@ -204,16 +197,16 @@ fn one_at_a_time(session: &mut Session, work: &mut Work) -> Result {
 }
 
 /// Names the boards that have come with a node-ID.
-fn named(session: &mut Session, work: &mut Work) -> Result<bool> {
-    let unasked = session.bus.take_unasked();
+fn named(work: &mut Work<'_>) -> Result<bool> {
+    let unasked = work.session.bus.take_unasked();
     let ids: BTreeSet<u8> =
         unasked.iter().filter_map(|received| nodes::booted(&received.frame)).collect();
     for id in &ids {
-        let numbers = nodes::serial_numbers(session, *id)?;
+        let numbers = nodes::serial_numbers(work.session, *id)?;
         work.node_ids.note(*id);
-        for row in rows::node(session, *id, &numbers)? {
+        for row in rows::node(work.session, *id, &numbers)? {
             let address = row.address_text();
-            writeln!(session.out, "node {id}  {address}  has this node-ID already")?;
+            writeln!(work.session.out, "node {id}  {address}  has this node-ID already")?;
         }
     }
     Ok(!ids.is_empty())

@@ -25,8 +25,9 @@ const MIXED: &str =
 /// change no state. The adapter was expected to be at `expected`.
 pub fn find(session: &mut Session, expected: BitRate, asks: bool) -> Result {
     writeln!(session.out, "adapter: {}", session.bus.description())?;
-    let (mut lacking, mut networks) = (Vec::new(), Vec::new());
-    let outcome = search(session, expected, asks, &mut lacking, &mut networks);
+    let mut search = Search { session, expected, lacking: Vec::new(), networks: Vec::new() };
+    let outcome = search.run(asks);
+    let Search { lacking, networks, .. } = search;
     session.found(&serde_json::json!({ "networks": networks }))?;
     if !lacking.is_empty() {
         let lacking = address::list(lacking);
@@ -35,148 +36,143 @@ pub fn find(session: &mut Session, expected: BitRate, asks: bool) -> Result {
     outcome
 }
 
-/// The bit rates that the adapter is `lacking` are left out.
-fn search(
-    session: &mut Session,
+/// A search, and what it has found.
+struct Search<'s> {
+    session: &'s mut Session,
     expected: BitRate,
-    asks: bool,
-    lacking: &mut Vec<BitRate>,
-    networks: &mut Vec<Value>,
-) -> Result {
-    let mut rates: Vec<BitRate> = match session.bus.fixed_rate() {
-        Some(rate) => vec![rate],
-        None => {
-            // The most likely ones first, where boards without an error to search from answer at once.
-            let first = [DEFAULT_RATE, expected];
-            let others = BitRate::ALL.into_iter().filter(|rate| !first.contains(rate));
-            let mut rates: Vec<BitRate> = first.into_iter().chain(others).collect();
-            rates.dedup();
-            rates
-        }
-    };
-    let mut has_signals = false;
-    let mut sights = Vec::new();
-    for &rate in &rates {
-        session.progress.say(|| format!("listening at {rate}"));
-        let sight = match rate::listen(session, rate) {
-            Err(Failure::Stop(Stop::NoBitRate(_))) => {
-                lacking.push(rate);
-                continue;
+    /// The bit rates that the adapter does not have.
+    lacking: Vec<BitRate>,
+    /// What was told, for JSON.
+    networks: Vec<Value>,
+}
+
+impl Search<'_> {
+    fn run(&mut self, asks: bool) -> Result {
+        let mut rates: Vec<BitRate> = match self.session.bus.fixed_rate() {
+            Some(rate) => vec![rate],
+            None => {
+                // The most likely ones first, where boards without an error to search from answer at once.
+                let first = [DEFAULT_RATE, self.expected];
+                let others = BitRate::ALL.into_iter().filter(|rate| !first.contains(rate));
+                let mut rates: Vec<BitRate> = first.into_iter().chain(others).collect();
+                rates.dedup();
+                rates
             }
-            sight => sight?,
         };
-        has_signals |= sight.has_errors;
-        if !sight.heard.is_empty() {
-            let has_errors = sight.has_errors;
-            sights.push((rate, sight));
-            // Errors may be the frames of boards at another bit rate.
-            if !has_errors {
-                break;
+        let mut has_signals = false;
+        let mut sights = Vec::new();
+        for &rate in &rates {
+            self.session.progress.say(|| format!("listening at {rate}"));
+            let sight = match rate::listen(self.session, rate) {
+                Err(Failure::Stop(Stop::NoBitRate(_))) => {
+                    self.lacking.push(rate);
+                    continue;
+                }
+                sight => sight?,
+            };
+            has_signals |= sight.has_errors;
+            if !sight.heard.is_empty() {
+                let has_errors = sight.has_errors;
+                sights.push((rate, sight));
+                // Errors may be the frames of boards at another bit rate.
+                if !has_errors {
+                    break;
+                }
             }
         }
-    }
-    if let [(rate, sight)] = &mut sights[..] {
-        rate::ask(session, *rate, sight)?;
-        rate::name(session, sight)?;
-        return tell(session, *rate, expected, sight, networks);
-    }
-    // A question would disturb those at the other bit rates.
-    for (rate, sight) in &sights {
-        writeln!(session.out, "boards run at {rate}")?;
-        tell_heard(session, *rate, sight, networks)?;
-    }
-    if !sights.is_empty() {
-        return Err(Failure::Refused(MIXED.into()));
-    }
-    if !asks {
-        return Err(Failure::NoAnswer(QUIET.into()));
-    }
-    rates.retain(|rate| !lacking.contains(rate));
-    let (answers, has_errors) = ask_at_all(session, &rates)?;
-    for (rate, sight) in &answers {
-        tell(session, *rate, expected, sight, networks)?;
-    }
-    match answers.len() {
-        0 => Err(Failure::NoAnswer(silence(has_signals, has_errors))),
-        1 => Ok(()),
-        _ => Err(Failure::Refused(MIXED.into())),
-    }
-}
-
-/// Asks at all bit rates; returns those at which somebody takes part, and whether there were errors.
-///
-/// A board that looks for the bit rate of its network may follow a question to another one than its own. The question
-/// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each
-/// with an answer once more. The adapter reports no error where somebody acknowledges; that is an answer only if it
-/// has reported errors at another bit rate.
-fn ask_at_all(session: &mut Session, rates: &[BitRate]) -> Result<(Vec<(BitRate, Sight)>, bool)> {
-    let mut has_errors = false;
-    let mut sights = Vec::new();
-    for &rate in rates {
-        session.progress.say(|| format!("asking at {rate}"));
-        let sight = rate::answers_at(session, rate)?;
-        has_errors |= sight.has_errors;
-        sights.push((rate, sight));
-    }
-    let takes_part = |sight: &Sight| sight.has_answer() || has_errors && sight.is_acknowledged;
-    sights.retain(|(_, sight)| takes_part(sight));
-    let mut answers = Vec::new();
-    for (rate, _) in sights {
-        session.progress.say(|| format!("asking at {rate} again"));
-        let mut sight = rate::answers_at(session, rate)?;
-        if takes_part(&sight) {
-            rate::name(session, &mut sight)?;
-            answers.push((rate, sight));
+        if let [(rate, sight)] = &mut sights[..] {
+            rate::ask(self.session, *rate, sight)?;
+            rate::name(self.session, sight)?;
+            return self.tell(*rate, sight);
+        }
+        // A question would disturb those at the other bit rates.
+        for (rate, sight) in &sights {
+            writeln!(self.session.out, "boards run at {rate}")?;
+            self.tell_heard(*rate, sight)?;
+        }
+        if !sights.is_empty() {
+            return Err(Failure::Refused(MIXED.into()));
+        }
+        if !asks {
+            return Err(Failure::NoAnswer(QUIET.into()));
+        }
+        rates.retain(|rate| !self.lacking.contains(rate));
+        let (answers, has_errors) = self.ask_at_all(&rates)?;
+        for (rate, sight) in &answers {
+            self.tell(*rate, sight)?;
+        }
+        match answers.len() {
+            0 => Err(Failure::NoAnswer(silence(has_signals, has_errors))),
+            1 => Ok(()),
+            _ => Err(Failure::Refused(MIXED.into())),
         }
     }
-    Ok((answers, has_errors))
-}
 
-fn tell(
-    session: &mut Session,
-    rate: BitRate,
-    expected: BitRate,
-    sight: &Sight,
-    networks: &mut Vec<Value>,
-) -> Result {
-    match rate == expected {
-        true => writeln!(session.out, "the network runs at {rate}")?,
-        false => writeln!(
-            session.out,
-            "the network runs at {rate}, and not at {expected}: use --bit-rate {}",
-            rate.kbit_per_s()
-        )?,
+    /// Asks at all bit rates; returns those at which somebody takes part, and whether there were errors.
+    ///
+    /// A board that looks for the bit rate of its network may follow a question to another one than its own. The question
+    /// at its own takes it back, and from then on it stays. So each bit rate is asked, whatever answers before, and each
+    /// with an answer once more. The adapter reports no error where somebody acknowledges; that is an answer only if it
+    /// has reported errors at another bit rate.
+    fn ask_at_all(&mut self, rates: &[BitRate]) -> Result<(Vec<(BitRate, Sight)>, bool)> {
+        let mut has_errors = false;
+        let mut sights = Vec::new();
+        for &rate in rates {
+            self.session.progress.say(|| format!("asking at {rate}"));
+            let sight = rate::answers_at(self.session, rate)?;
+            has_errors |= sight.has_errors;
+            sights.push((rate, sight));
+        }
+        let takes_part = |sight: &Sight| sight.has_answer() || has_errors && sight.is_acknowledged;
+        sights.retain(|(_, sight)| takes_part(sight));
+        let mut answers = Vec::new();
+        for (rate, _) in sights {
+            self.session.progress.say(|| format!("asking at {rate} again"));
+            let mut sight = rate::answers_at(self.session, rate)?;
+            if takes_part(&sight) {
+                rate::name(self.session, &mut sight)?;
+                answers.push((rate, sight));
+            }
+        }
+        Ok((answers, has_errors))
     }
-    tell_heard(session, rate, sight, networks)?;
-    let out = &mut *session.out;
-    if !sight.nodes.is_empty() {
-        writeln!(out, "answers to SDO: node {}", address::list(&sight.nodes))?;
-    }
-    if sight.has_blank {
-        writeln!(out, "answers to LSS: at least one board without a node-ID")?;
-    }
-    if !sight.has_blank && sight.nodes.is_empty() {
-        writeln!(out, "nobody answers to SDO or LSS; somebody takes part in the bus")?;
-    }
-    Ok(())
-}
 
-fn tell_heard(
-    session: &mut Session,
-    rate: BitRate,
-    sight: &Sight,
-    networks: &mut Vec<Value>,
-) -> Result {
-    networks.push(serde_json::json!({
-        "bit_rate": rate.kbit_per_s(),
-        "nodes": sight.nodes,
-        "has_blank": sight.has_blank,
-        "heard": sight.heard,
-    }));
-    for (words, count) in &sight.heard {
-        writeln!(session.out, "heard: {words} ({count})")?;
+    fn tell(&mut self, rate: BitRate, sight: &Sight) -> Result {
+        let Self { expected, .. } = *self;
+        match rate == expected {
+            true => writeln!(self.session.out, "the network runs at {rate}")?,
+            false => writeln!(
+                self.session.out,
+                "the network runs at {rate}, and not at {expected}: use --bit-rate {}",
+                rate.kbit_per_s()
+            )?,
+        }
+        self.tell_heard(rate, sight)?;
+        let out = &mut self.session.out;
+        if !sight.nodes.is_empty() {
+            writeln!(out, "answers to SDO: node {}", address::list(&sight.nodes))?;
+        }
+        if sight.has_blank {
+            writeln!(out, "answers to LSS: at least one board without a node-ID")?;
+        }
+        if !sight.has_blank && sight.nodes.is_empty() {
+            writeln!(out, "nobody answers to SDO or LSS; somebody takes part in the bus")?;
+        }
+        Ok(())
     }
-    Ok(())
+
+    fn tell_heard(&mut self, rate: BitRate, sight: &Sight) -> Result {
+        self.networks.push(serde_json::json!({
+            "bit_rate": rate.kbit_per_s(),
+            "nodes": sight.nodes,
+            "has_blank": sight.has_blank,
+            "heard": sight.heard,
+        }));
+        for (words, count) in &sight.heard {
+            writeln!(self.session.out, "heard: {words} ({count})")?;
+        }
+        Ok(())
+    }
 }
 
 /// The words for a bus on which nobody takes part at any rate.

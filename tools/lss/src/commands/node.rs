@@ -135,26 +135,15 @@ impl Object {
     }
 }
 
-/// The data type (CiA 301, table 44) with this short name.
+/// The data types by their short names, and their numbers in CiA 301, table 44.
+const TYPES: [&str; 13] =
+    ["bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f32", "f64", "text", "hex"];
+const NUMBERS: [u8; 13] = [1, 2, 3, 4, 0x15, 5, 6, 7, 0x1B, 8, 0x11, 9, 0x0A];
+
+/// The data type with this short name.
 pub fn data_type(name: &str) -> Result<u8, String> {
-    let types = [
-        ("bool", 0x01),
-        ("i8", 0x02),
-        ("i16", 0x03),
-        ("i32", 0x04),
-        ("i64", 0x15),
-        ("u8", 0x05),
-        ("u16", 0x06),
-        ("u32", 0x07),
-        ("u64", 0x1B),
-        ("f32", 0x08),
-        ("f64", 0x11),
-        ("text", 0x09),
-        ("hex", 0x0A),
-    ];
-    let all = || types.map(|(name, _)| name).join(", ");
-    let found = types.iter().find(|(known, _)| *known == name);
-    found.map(|(_, number)| *number).ok_or_else(all)
+    let at = TYPES.iter().position(|known| *known == name);
+    at.map(|at| NUMBERS[at]).ok_or_else(|| TYPES.join(", "))
 }
 
 /// Prints the adapters that this computer has.

@@ -6,13 +6,13 @@ use std::time::Duration;
 use can_bus::{bus::Masters, sdo};
 use canopen_node::{
     BitRate, Frame, NodeId,
-    lss::{Address, AddressPart, Request},
+    lss::{Address, Request},
 };
-use lss_master::{Configure, InquireNodeId, SelectAlone};
+use lss_master::{Configure, SelectAlone};
 
 use super::{nodes, rows};
 use crate::{
-    address::id_text,
+    address::{id_text, selection},
     failure::{Failure, Result},
     session::Session,
 };
@@ -115,7 +115,7 @@ fn withdraw(session: &mut Session, gift: Gift) -> Result<Option<Failure>> {
         Some(id) => other(&nodes::serial_numbers(session, id.get())?, &address),
         None => None,
     };
-    let has_it = select(session, address)? == to;
+    let has_it = session.select(address)? == to;
     if has_it && other.is_none() {
         return Ok(None);
     }
@@ -239,15 +239,9 @@ fn boots_up(
     }
 }
 
-/// Brings a board to LSS configuration state, and all others to LSS waiting state; returns its node-ID.
-pub fn select(session: &mut Session, address: Address) -> Result<Option<NodeId>> {
-    session.carry_out(SelectAlone::new(address))?;
-    session.carry_out(InquireNodeId)
-}
-
 /// The node-ID that a board has.
 fn inquired(session: &mut Session, address: &Address) -> Result<Option<NodeId>> {
-    let id = select(session, *address)?;
+    let id = session.select(*address)?;
     session.bus.request(Request::SwitchToWaiting)?;
     Ok(id)
 }
@@ -355,18 +349,12 @@ fn is_deserted(session: &mut Session, address: Address) -> Result<bool> {
 
 /// Whether a board answers to its selection soon, at once or after one with pauses, which some slaves need.
 fn is_heard(session: &mut Session, address: Address) -> Result<bool> {
-    let Address { vendor_id, product_code, revision_number, serial_number } = address;
+    let [first @ .., last] = selection(address);
     for gap in [Duration::ZERO, GAP] {
-        for request in [
-            Request::SwitchToWaiting,
-            Request::Select(AddressPart::VendorId, vendor_id),
-            Request::Select(AddressPart::ProductCode, product_code),
-            Request::Select(AddressPart::RevisionNumber, revision_number),
-        ] {
+        for request in [Request::SwitchToWaiting].into_iter().chain(first) {
             session.bus.request(request)?;
             session.bus.pass(gap)?;
         }
-        let last = Request::Select(AddressPart::SerialNumber, serial_number);
         if session.bus.probe(last)?.is_some() {
             return Ok(true);
         }

@@ -5,7 +5,6 @@ use canopen_node::{NodeId, lss::Address};
 use serde::{Serialize, Serializer};
 
 use super::{
-    board,
     nodes::{self, Nodes},
     rate::HEARTBEAT,
     scan,
@@ -135,10 +134,10 @@ pub fn blank(session: &mut Session, problems: &mut Vec<String>) -> Result<Vec<Ro
 
 /// The node-ID of a board that Fastscan has found. Frames may be lost.
 fn inquired(session: &mut Session, address: Address) -> Result<Option<NodeId>> {
-    let mut outcome = board::select(session, address);
+    let mut outcome = session.select(address);
     for _ in 0..2 {
         if let Err(Failure::NoAnswer(_)) = outcome {
-            outcome = board::select(session, address);
+            outcome = session.select(address);
         }
     }
     outcome

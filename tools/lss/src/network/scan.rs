@@ -4,7 +4,7 @@ use canopen_node::lss::{Address, AddressPart, FastscanStep, Request};
 use lss_master::{Outcome, Procedure, Step};
 
 use crate::{
-    address::counted,
+    address::{self, counted},
     failure::{Failure, Result},
     session::Session,
 };
@@ -131,13 +131,13 @@ fn gather(session: &mut Session, found: &mut Vec<Address>) -> Result {
 
 /// Brings a board to LSS configuration state, and leaves the others where they are.
 fn join(session: &mut Session, address: &Address) -> Result<bool> {
-    session.carry_out(Request::Select(AddressPart::VendorId, address.vendor_id))?;
-    session.carry_out(Request::Select(AddressPart::ProductCode, address.product_code))?;
-    session.carry_out(Request::Select(AddressPart::RevisionNumber, address.revision_number))?;
-    match session.carry_out(Request::Select(AddressPart::SerialNumber, address.serial_number)) {
-        Err(Failure::NoAnswer(_)) => Ok(false),
-        outcome => outcome.map(|()| true),
+    for request in address::selection(*address) {
+        match session.carry_out(request) {
+            Err(Failure::NoAnswer(_)) => return Ok(false),
+            outcome => outcome?,
+        }
     }
+    Ok(true)
 }
 
 /// More boards than a network has are a contradiction: a search for them would not end.

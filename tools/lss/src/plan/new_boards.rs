@@ -12,12 +12,13 @@ use super::{
 use crate::{
     address::{self, counted},
     failure::{Failure, Result},
-    network::{board, nodes, rows, scan},
+    network::{nodes, rows, scan},
     session::Session,
 };
 
 /// The giving of node-IDs, as far as it is done.
-pub struct Work {
+pub struct Work<'s> {
+    pub session: &'s mut Session,
     /// The lowest node-ID to give.
     pub first: NodeId,
     pub table: Option<Table>,
@@ -93,7 +94,7 @@ impl Done {
     }
 }
 
-impl Work {
+impl Work<'_> {
     pub fn entries(&self) -> Vec<(NodeId, Address)> {
         self.table.iter().flat_map(|table| table.entries.clone()).collect()
     }
@@ -106,12 +107,8 @@ impl Work {
     }
 
     /// Selects a board, and asks for its node-ID; `None` if it does not tell, and is named among the problems.
-    pub fn select(
-        &mut self,
-        session: &mut Session,
-        address: Address,
-    ) -> Result<Option<Option<NodeId>>> {
-        match board::select(session, address) {
+    pub fn select(&mut self, address: Address) -> Result<Option<Option<NodeId>>> {
+        match self.session.select(address) {
             Ok(id) => Ok(Some(id)),
             Err(failure) => {
                 self.done.hold(address, format!("board {address}: {}", failure.of_board()?));
@@ -124,12 +121,11 @@ impl Work {
     /// is named among the problems.
     pub fn give(
         &mut self,
-        session: &mut Session,
         (id, address): (NodeId, Address),
         before: Option<NodeId>,
         draft: Option<Draft>,
     ) -> Result<bool> {
-        let fate = match self.node_ids.give(session, address, before, Some(id)) {
+        let fate = match self.node_ids.give(self.session, address, before, Some(id)) {
             Ok(boots) => Fate::Given { boots },
             Err(failure) => Fate::Failed(failure.of_board()?),
         };
@@ -140,18 +136,18 @@ impl Work {
             let why = format!("node {id} is not in the table: {address}: {error}");
             self.done.problems.push(why);
         }
-        self.done.note(session, id, address, fate)?;
+        self.done.note(self.session, id, address, fate)?;
         Ok(is_done)
     }
 
     /// Gives node-IDs to all boards without one.
-    pub fn give_blank(&mut self, session: &mut Session) -> Result {
-        self.with_fastscan(session)?;
+    pub fn give_blank(&mut self) -> Result {
+        self.with_fastscan()?;
         let is_anyone_left =
-            self.done.held.is_empty() && scan::is_anyone_without_fastscan(session)?;
+            self.done.held.is_empty() && scan::is_anyone_without_fastscan(self.session)?;
         if is_anyone_left {
-            let given = self.without_fastscan(session)?;
-            if !given || scan::is_anyone_without_fastscan(session)? {
+            let given = self.without_fastscan()?;
+            if !given || scan::is_anyone_without_fastscan(self.session)? {
                 self.done.problems.push(
                     "a board without a node-ID does not answer to Fastscan, nor to identify remote slave with a product \
                      of the table: take all others without one off the bus and use `lss set-id ID --store`"
@@ -162,17 +158,17 @@ impl Work {
         Ok(())
     }
 
-    fn with_fastscan(&mut self, session: &mut Session) -> Result {
+    fn with_fastscan(&mut self) -> Result {
         let mut last: Option<Address> = None;
         // A Fastscan would find a board that stays as it is again and again.
         while self.done.held.is_empty() {
             let count = self.done.new.len();
-            session
+            self.session
                 .progress
                 .say(|| format!("{} given; looking for another board", counted(count, "node-ID")));
             let scan = Fastscan::new();
             let scan = last.map_or(scan.clone(), |last| scan.after_slave(last));
-            let address = match session.carry_out(scan) {
+            let address = match self.session.carry_out(scan) {
                 Ok(Some(address)) => address,
                 Ok(None) => return Ok(()),
                 Err(stop @ Failure::Stop(_)) => return Err(stop),
@@ -180,14 +176,14 @@ impl Work {
                 Err(_) => break,
             };
             last = Some(address);
-            self.selected(session, address)?;
+            self.selected(address)?;
         }
         loop {
-            let mut rest = scan::blank(session, &mut self.done.problems)?;
+            let mut rest = scan::blank(self.session, &mut self.done.problems)?;
             rest.retain(|address| !self.done.held.contains(address));
             let before = self.done.count();
             for address in rest {
-                self.found(session, address)?;
+                self.found(address)?;
             }
             if self.done.count() == before {
                 return Ok(());
@@ -197,22 +193,24 @@ impl Work {
 
     /// Gives node-IDs to boards that do not support Fastscan, found by identify remote slave: those of the products that
     /// the table or this run knows. Returns whether there were any.
-    fn without_fastscan(&mut self, session: &mut Session) -> Result<bool> {
+    fn without_fastscan(&mut self) -> Result<bool> {
         let known = self.entries().into_iter().chain(self.done.new.iter().copied());
         let products: BTreeSet<(u32, u32)> =
             known.map(|(_, address)| (address.vendor_id, address.product_code)).collect();
         let before = self.done.new.len();
         for (vendor_id, product_code) in products {
             let mut within = Identify::product(vendor_id, product_code);
-            session.progress.say(|| format!("identifying boards of product {product_code:08X}"));
-            while let Some(address) = session.carry_out(Find::new(within.clone()))? {
+            self.session
+                .progress
+                .say(|| format!("identifying boards of product {product_code:08X}"));
+            while let Some(address) = self.session.carry_out(Find::new(within.clone()))? {
                 // A device that answers each question has no such address.
-                if let Err(failure) = session.carry_out(SelectAlone::new(address)) {
+                if let Err(failure) = self.session.carry_out(SelectAlone::new(address)) {
                     let why = failure.of_board()?;
                     self.done.problems.push(format!("board {address}: {why}"));
                     break;
                 }
-                self.found(session, address)?;
+                self.found(address)?;
                 let Some(next) = address.serial_number.checked_add(1) else { break };
                 within.serial_numbers = next..=u32::MAX;
             }
@@ -221,15 +219,15 @@ impl Work {
     }
 
     /// Gives a board without a node-ID one.
-    pub fn found(&mut self, session: &mut Session, address: Address) -> Result {
-        match self.select(session, address)? {
-            Some(None) => self.selected(session, address),
+    pub fn found(&mut self, address: Address) -> Result {
+        match self.select(address)? {
+            Some(None) => self.selected(address),
             _ => Ok(()),
         }
     }
 
     /// Gives the selected board without a node-ID one: that of the table, or a free one and an entry there.
-    fn selected(&mut self, session: &mut Session, address: Address) -> Result {
+    fn selected(&mut self, address: Address) -> Result {
         let is_it = |entry: &&(NodeId, Address)| entry.1 == address;
         if let Some((id, _)) = self.done.new.iter().find(is_it) {
             let why = format!("board {address} has lost node-ID {id} again");
@@ -238,12 +236,12 @@ impl Work {
         }
         if let Some(&(id, _)) = self.entries().iter().find(is_it) {
             return match self.node_ids.is_taken(id) {
-                true => self.done.note(session, id, address, Fate::Taken),
-                false => self.give(session, (id, address), None, None).map(drop),
+                true => self.done.note(self.session, id, address, Fate::Taken),
+                false => self.give((id, address), None, None).map(drop),
             };
         }
         // A board may have come since.
-        self.node_ids.note_heard(session);
+        self.node_ids.note_heard(self.session);
         let Some(id) = self.free(self.first.get()) else {
             let first = self.first;
             let why = format!("board {address} needs a node-ID, but none from {first} on is free");
@@ -251,34 +249,34 @@ impl Work {
             return Ok(());
         };
         let draft = self.table.as_ref().map(|table| table.with(id, address)).transpose()?;
-        self.give(session, (id, address), None, draft).map(drop)
+        self.give((id, address), None, draft).map(drop)
     }
 
     /// Gives another node-ID to each new board whose node-ID a board has that came later; says who shares one still.
-    pub fn part(&mut self, session: &mut Session) -> Result {
-        let nodes = nodes::nodes(session)?;
+    pub fn part(&mut self) -> Result {
+        let nodes = nodes::nodes(self.session)?;
         nodes.keys().for_each(|id| self.node_ids.note(*id));
-        self.node_ids.note_heard(session);
+        self.node_ids.note_heard(self.session);
         let mut is_moved = false;
         for (id, address) in self.done.new.clone() {
             let is_other = |number: &u32| *number != address.serial_number;
             let is_shared =
                 nodes.get(&id.get()).is_some_and(|numbers| numbers.iter().any(is_other));
             let (true, Some(other)) = (is_shared, self.free(1)) else { continue };
-            if self.select(session, address)?.is_none() {
+            if self.select(address)?.is_none() {
                 continue;
             }
-            writeln!(session.out, "another board came with node-ID {id}")?;
-            is_moved |= self.give(session, (other, address), Some(id), None)?;
+            writeln!(self.session.out, "another board came with node-ID {id}")?;
+            is_moved |= self.give((other, address), Some(id), None)?;
             // The other one has it.
             self.node_ids.note(id.get());
             if self.table.is_some() {
-                self.done.note(session, id, address, Fate::Taken)?;
+                self.done.note(self.session, id, address, Fate::Taken)?;
             }
         }
-        let nodes = if is_moved { nodes::nodes(session)? } else { nodes };
+        let nodes = if is_moved { nodes::nodes(self.session)? } else { nodes };
         for (id, numbers) in nodes.into_iter().filter(|(_, numbers)| numbers.len() > 1) {
-            let rows = rows::node(session, id, &numbers)?;
+            let rows = rows::node(self.session, id, &numbers)?;
             let addresses = address::list(rows.iter().filter_map(|row| row.lss_address));
             let boards = match addresses.is_empty() {
                 true => format!("serial numbers {}", address::parts(&numbers)),

@@ -10,7 +10,6 @@ use crate::{
     address,
     failure::Result,
     network::rows::{self, Row},
-    session::Session,
 };
 
 /// A board of the table, or a new one.
@@ -18,17 +17,11 @@ type Board = (NodeId, Address);
 
 /// Finds a new board for each `missing` one. It must be of the same vendor and product. With `is_agreed` it takes over
 /// if there is one of each, without a question.
-pub fn replace(
-    session: &mut Session,
-    work: &mut Work,
-    missing: &[Board],
-    unknown: &[Row],
-    is_agreed: bool,
-) -> Result {
+pub fn replace(work: &mut Work<'_>, missing: &[Board], unknown: &[Row], is_agreed: bool) -> Result {
     let table = work.entries();
     let is_of_table = |id: u8| table.iter().any(|(known, _)| known.get() == id);
     let mut new: Vec<Address> = Vec::new();
-    for row in unknown.iter().chain(&rows::blank(session, &mut work.done.problems)?) {
+    for row in unknown.iter().chain(&rows::blank(work.session, &mut work.done.problems)?) {
         new.extend(row.lss_address.filter(|_| row.node_id.is_none_or(is_of_table)));
     }
     new.retain(|address| table.iter().all(|(_, known)| known != address));
@@ -40,8 +33,8 @@ pub fn replace(
         let boards: Vec<Address> = new.iter().copied().filter(|new| product(new) == one).collect();
         match (&places[..], &boards[..]) {
             (places, []) => work.done.problems.extend(places.iter().map(is_missing)),
-            ([place], [board]) if is_agreed => take_over(session, work, *place, *board)?,
-            (places, _) if session.person.is_present() => choose(session, work, places, boards)?,
+            ([place], [board]) if is_agreed => take_over(work, *place, *board)?,
+            (places, _) if work.session.person.is_present() => choose(work, places, boards)?,
             ([place], [board]) => {
                 let (new, id) = (is_new(place, board), place.0);
                 let why = format!(
@@ -74,12 +67,7 @@ fn several(places: &[Board], boards: &[Address]) -> String {
 }
 
 /// Asks for each place which board takes it over.
-fn choose(
-    session: &mut Session,
-    work: &mut Work,
-    places: &[Board],
-    mut boards: Vec<Address>,
-) -> Result {
+fn choose(work: &mut Work<'_>, places: &[Board], mut boards: Vec<Address>) -> Result {
     let is_one = places.len() == 1 && boards.len() == 1;
     for place in places {
         let id = place.0;
@@ -90,7 +78,7 @@ fn choose(
                     "{}. Does it take over node-ID {id}? [y = yes, Enter = no: it gets one of its own]",
                     is_new(place, board)
                 );
-                session.ask(&question)?.filter(|answer| person::is_yes(answer)).map(|_| 0)
+                work.session.ask(&question)?.filter(|answer| person::is_yes(answer)).map(|_| 0)
             }
             boards => {
                 let numbered = (1..).zip(boards);
@@ -101,12 +89,12 @@ fn choose(
                      of them]",
                     is_missing(place)
                 );
-                let answer = session.ask(&question)?;
+                let answer = work.session.ask(&question)?;
                 answer.and_then(|answer| answer.parse::<usize>().ok()?.checked_sub(1))
             }
         };
         match at.filter(|at| *at < boards.len()) {
-            Some(at) => take_over(session, work, *place, boards.remove(at))?,
+            Some(at) => take_over(work, *place, boards.remove(at))?,
             None => work.done.problems.push(is_missing(place)),
         }
     }
@@ -123,13 +111,8 @@ fn is_missing((id, address): &Board) -> String {
 }
 
 /// Gives a board the node-ID of a missing one, and writes it into the table.
-fn take_over(
-    session: &mut Session,
-    work: &mut Work,
-    (id, missing): Board,
-    board: Address,
-) -> Result {
-    let Some(before) = work.select(session, board)? else { return Ok(()) };
+fn take_over(work: &mut Work<'_>, (id, missing): Board, board: Address) -> Result {
+    let Some(before) = work.select(board)? else { return Ok(()) };
     if before != Some(id) && work.node_ids.is_taken(id) {
         let why = format!(
             "board {board} cannot take over node-ID {id}, which another board has: give that another one (lss set-id)"
@@ -139,8 +122,8 @@ fn take_over(
     }
     let table = work.table.as_ref();
     let draft = table.map(|table| table.with_another(id, board)).transpose()?;
-    if work.give(session, (id, board), before, draft)? {
-        writeln!(session.out, "node {id}  {board}  takes over the place of {missing}")?;
+    if work.give((id, board), before, draft)? {
+        writeln!(work.session.out, "node {id}  {board}  takes over the place of {missing}")?;
     }
     Ok(())
 }

@@ -22,7 +22,6 @@ use canopen_node::{
     nmt,
     settings::Log,
 };
-use clap::Parser;
 use emulator::{Time, network::Network};
 use firmware::device::DEVICE;
 use lss::{Arguments, Session, Shows};
@@ -203,7 +202,7 @@ pub fn run(
 ) -> Outcome {
     let words = ["lss"].into_iter().chain(arguments.split_whitespace());
     let is_prompt = !arguments.contains("--latency");
-    let mut arguments = Arguments::try_parse_from(words).expect("a command line");
+    let mut arguments = Arguments::read(words).expect("a command line");
     if is_prompt {
         arguments.latency = 1;
     }

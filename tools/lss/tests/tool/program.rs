@@ -51,10 +51,15 @@ fn a_wrong_command_line_is_told() {
     let adapter = ["--adapter", "slcan:/dev/ttyNone"];
     let wrong = |rest: &[&str], words: &str| assert_fails(&[&adapter[..], rest].concat(), 2, words);
     wrong(&["set-id", "128"], "1 to 127, or none");
+    wrong(&["set-id", "0"], "1 to 127, or none");
     wrong(&["raw", "xx"], "a byte in hexadecimal");
     wrong(&["identify", "--vendor", "1", "--product", "2", "--serial", "2..1"], "is greater than");
+    wrong(&["identify", "--vendor", "1", "--product", "1-2"], "a number of 32 bits");
+    wrong(&["identify", "--vendor", "1", "--product", "2", "--serial", "1.."], "a number of 32");
     wrong(&["read", "5", "1017", "--type", "word"], "bool, i8, i16");
     wrong(&["assign", "--yes"], "--table <FILE>");
-    wrong(&["store", "--address", "1:2:3"], "vendor-ID:product code:revision:serial number");
+    for address in ["1:2:3", "1:2:3:4:5", "1:2:3:x"] {
+        wrong(&["store", "--address", address], "vendor-ID:product code:revision:serial number");
+    }
     wrong(&["inquire", "--bit-rate", "100"], "is no bit rate of CiA 301 in kbit/s: 1000, 800,");
 }

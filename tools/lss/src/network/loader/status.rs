@@ -28,29 +28,22 @@ pub fn words(status: u32) -> String {
 
 /// Why a header is refused.
 fn field_words(field: u32) -> String {
-    let of = |other: Field| field == other as u32;
-    let what = if of(Field::Magic) {
-        "it does not begin as an update file"
-    } else if of(Field::HeaderCrc) || of(Field::Rest) {
-        "its header is damaged"
-    } else if of(Field::Length) {
-        "it has no program of whole words"
-    } else if of(Field::Vendor) || of(Field::Product) {
-        "it is for another product"
-    } else if of(Field::Hardware) {
-        "it is for another hardware version"
-    } else if of(Field::Chip) {
-        "it is for another chip"
-    } else if of(Field::Controller) {
-        "it is for another CAN controller"
-    } else if of(Field::Address) {
-        "it is for another place in the flash"
-    } else if of(Field::Release) {
-        "its release is lower than the installed one"
-    } else if of(Field::Signature) {
-        "it is not signed with the key of this board"
-    } else {
-        return format!("the board does not accept byte {field} of its header");
-    };
-    what.to_owned()
+    let words = [
+        (Field::Magic, "it does not begin as an update file"),
+        (Field::HeaderCrc, "its header is damaged"),
+        (Field::Rest, "its header is damaged"),
+        (Field::Length, "it has no program of whole words"),
+        (Field::Vendor, "it is for another product"),
+        (Field::Product, "it is for another product"),
+        (Field::Hardware, "it is for another hardware version"),
+        (Field::Chip, "it is for another chip"),
+        (Field::Controller, "it is for another CAN controller"),
+        (Field::Address, "it is for another place in the flash"),
+        (Field::Release, "its release is lower than the installed one"),
+        (Field::Signature, "it is not signed with the key of this board"),
+    ];
+    match words.into_iter().find(|(other, _)| *other as u32 == field) {
+        Some((_, words)) => words.into(),
+        None => format!("the board does not accept byte {field} of its header"),
+    }
 }
