@@ -22,7 +22,6 @@ pub struct Fastscan {
     known: [Option<u32>; 4],
     /// Numbers to try first, and the serial number below which no slave with these is left.
     likely: [Option<u32>; 4],
-    is_skipping: bool,
     /// The parts as far as they are known now.
     found: [Option<u32>; 4],
     /// The part whose confirmation has failed.
@@ -42,8 +41,8 @@ enum State {
     /// The part's bits so far, and the bit that is asked for, as a mask.
     Bit(AddressPart, u32, u32),
     Confirm(AddressPart),
-    /// A part that the slave itself tells.
-    Inquire(AddressPart),
+    /// The serial number, which the slave itself tells.
+    Inquire,
     SlowDown,
 }
 
@@ -53,7 +52,6 @@ impl Fastscan {
         Self {
             known: [None; 4],
             likely: [None; 4],
-            is_skipping: false,
             found: [None; 4],
             contradicted: None,
             retries: RETRIES,
@@ -79,25 +77,6 @@ impl Fastscan {
         self
     }
 
-    /// Skips product code and revision number, which the slave tells in the end. The serial numbers of a vendor's
-    /// slaves on the bus must differ, whatever the product.
-    #[must_use]
-    pub const fn skipping_product_and_revision(mut self) -> Self {
-        self.is_skipping = true;
-        self
-    }
-
-    /// The part to scan after `part`; the vendor-ID, at which the slave enters LSS configuration state, after the last.
-    fn after(&self, part: AddressPart) -> AddressPart {
-        match part {
-            AddressPart::SerialNumber => AddressPart::VendorId,
-            _ if self.is_skipping => AddressPart::SerialNumber,
-            AddressPart::VendorId => AddressPart::ProductCode,
-            AddressPart::ProductCode => AddressPart::RevisionNumber,
-            AddressPart::RevisionNumber => AddressPart::SerialNumber,
-        }
-    }
-
     fn start(&mut self) -> Step<Option<Address>> {
         self.state = State::SwitchToWaiting;
         Step::ask(Request::SwitchToWaiting)
@@ -108,7 +87,7 @@ impl Fastscan {
             (Some(number), _) => self.confirm(part, number),
             (None, Some(number)) if part != AddressPart::SerialNumber => {
                 self.state = State::Likely(part, number);
-                fastscan(number, 0, part, self.after(part))
+                fastscan(number, 0, part, after(part))
             }
             _ => self.ask_bit(part, 0, 1 << 31),
         }
@@ -151,21 +130,7 @@ impl Fastscan {
 
     fn confirm(&mut self, part: AddressPart, number: u32) -> Step<Option<Address>> {
         self.state = State::Confirm(part);
-        fastscan(number, 0, part, self.after(part))
-    }
-
-    /// The part that the slave tells after `part`.
-    const fn told_after(&self, part: AddressPart) -> Option<AddressPart> {
-        match part {
-            AddressPart::SerialNumber if self.is_skipping => Some(AddressPart::ProductCode),
-            AddressPart::ProductCode => Some(AddressPart::RevisionNumber),
-            _ => None,
-        }
-    }
-
-    fn inquire(&mut self, part: AddressPart) -> Step<Option<Address>> {
-        self.state = State::Inquire(part);
-        Step::ask(Request::Inquire(part))
+        fastscan(number, 0, part, after(part))
     }
 
     /// Confirms all parts anew after a contradiction at `part`; looks for `part` again if that has happened before.
@@ -188,6 +153,11 @@ impl Fastscan {
         self.state = State::SlowDown;
         Step::SlowDown
     }
+}
+
+/// The part to scan after `part`; the vendor-ID, at which the slave enters LSS configuration state, after the last.
+fn after(part: AddressPart) -> AddressPart {
+    AddressPart::new(part as u8 + 1).unwrap_or(AddressPart::VendorId)
 }
 
 const fn fastscan(
@@ -223,7 +193,7 @@ impl Procedure for Fastscan {
             State::Begin => Step::Done(Ok(None)),
             State::Likely(part, number) if is_answered => {
                 self.found[part as usize] = Some(number);
-                self.scan(self.after(part))
+                self.scan(after(part))
             }
             State::Likely(part, _) => self.ask_bit(part, 0, 1 << 31),
             State::Bit(part, mut number, bit) => {
@@ -232,28 +202,22 @@ impl Procedure for Fastscan {
                 }
                 self.ask_bit(part, number, bit >> 1)
             }
-            State::Confirm(AddressPart::SerialNumber) if is_answered => {
-                self.inquire(AddressPart::SerialNumber)
-            }
             State::Confirm(AddressPart::SerialNumber) => {
+                self.state = State::Inquire;
+                let request = Request::Inquire(AddressPart::SerialNumber);
                 // Perhaps only the answer was lost.
-                self.state = State::Inquire(AddressPart::SerialNumber);
-                Step::probe(Request::Inquire(AddressPart::SerialNumber))
+                if is_answered { Step::ask(request) } else { Step::probe(request) }
             }
-            State::Confirm(part) if is_answered => self.scan(self.after(part)),
+            State::Confirm(part) if is_answered => self.scan(after(part)),
             State::Confirm(part) => self.begin_anew(part),
-            State::Inquire(part) => {
-                let Ok(Some(number)) = outcome else { return self.begin_anew(part) };
-                let found = &mut self.found[part as usize];
-                if part == AddressPart::SerialNumber && *found != Some(number) {
-                    return self.begin_anew(part);
+            State::Inquire => match outcome {
+                Ok(number @ Some(_))
+                    if number == self.found[AddressPart::SerialNumber as usize] =>
+                {
+                    Step::Done(Ok(Some(self.found.map(Option::unwrap_or_default).into())))
                 }
-                *found = Some(number);
-                match self.told_after(part) {
-                    Some(part) => self.inquire(part),
-                    None => Step::Done(Ok(Some(self.found.map(Option::unwrap_or_default).into()))),
-                }
-            }
+                _ => self.begin_anew(AddressPart::SerialNumber),
+            },
         }
     }
 }

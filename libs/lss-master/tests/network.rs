@@ -270,20 +270,6 @@ fn known_parts_take_one_request_and_limit_the_scan_to_slaves_that_have_them() {
 }
 
 #[test]
-fn skipped_parts_are_told_by_the_slave() {
-    let other = Address { product_code: 1, revision_number: 2, serial_number: 3, ..ADDRESS };
-    let mut bus = bus([ADDRESS, other]);
-    let mut master = master();
-    let scan = Fastscan::new()
-        .with_known(AddressPart::VendorId, ADDRESS.vendor_id)
-        .skipping_product_and_revision();
-    assert_eq!(bus.carry_out(&mut master, scan.clone()), Ok(Some(other)));
-    assert_eq!(bus.requests, 1 + 1 + 1 + 33 + 3);
-    let found = commission(&mut bus, &mut master, &scan);
-    assert_commissioned(&mut bus, &found);
-}
-
-#[test]
 fn different_answer_times_and_lost_late_and_doubled_frames_do_not_spoil_a_commissioning() {
     let mut random = Random::from_environment();
     for number in 0..25 {
