@@ -295,10 +295,15 @@ const WIDTH: usize = 80;
 
 /// The text in lines that fit a terminal, of which the further ones begin with so many blanks.
 pub fn wrapped(text: &str, indent: usize) -> String {
+    wrapped_at(WIDTH, text, indent)
+}
+
+/// The same in lines of another width.
+pub fn wrapped_at(limit: usize, text: &str, indent: usize) -> String {
     let (mut lines, mut width) = (String::new(), 0);
     for (number, word) in text.split(' ').enumerate() {
         let length = word.chars().count();
-        if width > indent && width + 1 + length > WIDTH {
+        if width > indent && width + 1 + length > limit {
             lines += &format!("\n{:indent$}", "");
             width = indent;
         } else if number > 0 {

@@ -4,6 +4,7 @@
 pub mod adapter;
 #[cfg(feature = "adapters")]
 pub mod bus;
+pub mod date;
 pub mod eds;
 pub mod explain;
 #[cfg(feature = "adapters")]

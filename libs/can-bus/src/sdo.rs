@@ -21,6 +21,16 @@ pub enum Error {
     Other(String),
 }
 
+impl Error {
+    /// The same without the meaning of a code: `abort 06020000`.
+    pub fn short(&self) -> String {
+        match self {
+            Self::Abort(code) => format!("abort {code:08X}"),
+            other => other.to_string(),
+        }
+    }
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let code = match self {
@@ -44,9 +54,9 @@ impl fmt::Display for Error {
             0x0609_0032 => "the value is too low",
             0x0800_0020 => "it cannot be stored",
             0x0800_0021 | 0x0800_0022 => "not in the present state of the device",
-            _ => return write!(f, "abort {code:08X}"),
+            _ => return f.write_str(&self.short()),
         };
-        write!(f, "{meaning} (abort {code:08X})")
+        write!(f, "{meaning} ({})", self.short())
     }
 }
 

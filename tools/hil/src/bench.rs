@@ -14,12 +14,12 @@ use lss_master::{Configure, Identify};
 
 use crate::{
     adapter::Received,
-    board::{self, Board},
+    board::{self, Board, Outcome},
     bus::Bus,
     person::Person,
     product::Product,
     report::Report,
-    sdo::{self, Outcome},
+    sdo,
     stop::Stop,
 };
 
@@ -135,7 +135,8 @@ impl Bench {
 
     /// Reads a number by SDO.
     pub fn number(&mut self, board: Board, index: u16, sub_index: u8) -> Outcome<u32> {
-        sdo::read_number(&mut self.bus, board.id.get(), index, sub_index)
+        let number = sdo::read_number(&mut self.bus, board.id.get(), index, sub_index)?;
+        Ok(number.map_err(|why| why.short()))
     }
 
     /// Reads a number by SDO, in words.
@@ -177,7 +178,8 @@ impl Bench {
 
     /// The same for one node.
     pub fn set_heartbeat(&mut self, node: u8, milliseconds: u16) -> Outcome<()> {
-        sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)
+        let written = sdo::write(&mut self.bus, node, (0x1017, 0), milliseconds.into(), 2)?;
+        Ok(written.map_err(|why| why.short()))
     }
 
     /// Stores a bit rate on boards; a refusal is a failed check.

@@ -8,7 +8,10 @@ use canopen_node::{
 };
 use lss_master::{Assign, Configure, Find, Identify, InquireNodeId, Select};
 
-use crate::{bus::Bus, product::Product, sdo::Outcome, stop::Stop};
+use crate::{bus::Bus, product::Product, stop::Stop};
+
+/// The result of a transfer or of a procedure; an error says in words why it failed.
+pub type Outcome<T> = Result<Result<T, String>, Stop>;
 
 /// A board, and what it had stored before the sessions.
 #[derive(Clone, Copy, Debug)]

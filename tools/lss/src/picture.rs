@@ -4,7 +4,10 @@ mod history;
 
 use std::time::Duration;
 
-use can_bus::svg::{Plot, Scale, Step, Timeline, bar, colored_label, escape, label, moment};
+use can_bus::{
+    explain::wrapped_at,
+    svg::{Plot, Scale, Step, Timeline, bar, colored_label, escape, label, moment},
+};
 
 use crate::recorder::Entry;
 use history::{Board, History, Kind, Lane};
@@ -48,8 +51,9 @@ pub fn draw(entries: &[Entry], caption: &Caption) -> String {
     history.boards.sort_by_key(|board| board.id.unwrap_or(0xFF));
     let scale = scale(&history);
     let bottom = TOP + ROW * (history.boards.len() + 1) as f64;
-    let failure = caption.failure.as_deref().map(wrap).unwrap_or_default();
-    let height = bottom + 34.0 + 18.0 * failure.len() as f64;
+    let failure = caption.failure.iter().flat_map(|text| text.lines());
+    let failure: String = failure.map(|line| wrapped_at(LINE, line, 0) + "\n").collect();
+    let height = bottom + 34.0 + 18.0 * failure.lines().count() as f64;
     let plot = Plot { left: LEFT, right: RIGHT, top: TOP, bottom };
     let mut picture = Timeline::new([WIDTH, height], &caption.title, plot, scale);
     picture.svg += &gray(MARGIN, 50.0, "start", &caption.line);
@@ -66,7 +70,7 @@ pub fn draw(entries: &[Entry], caption: &Caption) -> String {
         picture.svg += &colored_label(WORDS, y - 3.0, "start", color, &first);
         picture.svg += &gray(WORDS, y + 13.0, "start", &second);
     }
-    for (line, y) in failure.iter().zip((0..).map(|line| bottom + 42.0 + 18.0 * f64::from(line))) {
+    for (line, y) in failure.lines().zip((0..).map(|line| bottom + 42.0 + 18.0 * f64::from(line))) {
         picture.svg += &colored_label(MARGIN, y, "start", "#c92a2a", line);
     }
     picture.finish()
@@ -257,55 +261,12 @@ fn beginning(words: &str) -> String {
     }
 }
 
-/// The lines of a text.
-fn wrap(text: &str) -> Vec<String> {
-    let mut lines = Vec::new();
-    for paragraph in text.lines() {
-        let mut line = String::new();
-        for word in paragraph.split(' ') {
-            if line.len() + word.len() >= LINE {
-                lines.push(std::mem::take(&mut line));
-            }
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line += word;
-        }
-        lines.push(line);
-    }
-    lines
-}
-
-/// A time since 1970 as a date and a time of day.
-pub fn date_and_time(since_1970: Duration) -> String {
-    let (days, seconds) = (since_1970.as_secs() / 86_400, since_1970.as_secs() % 86_400);
-    // Years that begin in March have their leap day at the end; 400 of them have 146,097 days.
-    let day = days + 719_468;
-    let (era, of_era) = (day / 146_097, day % 146_097);
-    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let of_month = of_year - (153 * month + 2) / 5 + 1;
-    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
-    format!("{:04}-{month:02}-{of_month:02} {hours:02}:{minutes:02} UTC", era * 400 + year + next)
-}
-
 #[cfg(test)]
 mod tests {
     use can_bus::{bus::What, svg::MOMENT};
     use canopen_node::Frame;
 
     use super::*;
-
-    #[test]
-    fn a_time_has_its_date() {
-        let text = |seconds| date_and_time(Duration::from_secs(seconds));
-        assert_eq!(text(0), "1970-01-01 00:00 UTC");
-        assert_eq!(text(951_827_696), "2000-02-29 12:34 UTC");
-        assert_eq!(text(1_740_787_199), "2025-02-28 23:59 UTC");
-        assert_eq!(text(4_107_542_400), "2100-03-01 00:00 UTC");
-    }
 
     #[test]
     fn steps_at_the_end_do_not_leave_the_time_axis() {
@@ -343,13 +304,5 @@ mod tests {
         let entries: Vec<Entry> = frames.into_iter().map(entry).collect();
         let caption = Caption { title: String::new(), line: String::new(), failure: None };
         assert!(draw(&entries, &caption).contains("serial number 0000101D"));
-    }
-
-    #[test]
-    fn a_long_text_has_lines() {
-        let words = "word ".repeat(100);
-        assert!(wrap(&words).iter().all(|line| line.len() <= LINE));
-        assert_eq!(wrap(&words).join(" ").trim_end(), words.trim_end());
-        assert_eq!(wrap("one\ntwo"), ["one", "two"]);
     }
 }

@@ -4,6 +4,7 @@ use std::fs::{self, File};
 
 use can_bus::{
     bus::{Masters, Pace},
+    date::date_and_time,
     stop::Stop,
 };
 
@@ -32,7 +33,7 @@ impl Session {
                     Command::SetRate { rate, .. } => format!("lss set-rate {}", rate.kbit_per_s()),
                     _ => format!("lss {}", arguments.name),
                 },
-                line: format!("{adapter}, from {}", picture::date_and_time(*time_of_day)),
+                line: format!("{adapter}, from {}", date_and_time(*time_of_day)),
                 failure: outcome.as_ref().err().map(ToString::to_string),
             };
             let svg = picture::draw(&entries.borrow(), &caption);

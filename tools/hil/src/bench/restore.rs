@@ -10,9 +10,9 @@ use lss_master::Configure;
 
 use super::{Bench, RESET_NODE, SEARCH, START, node_id_text};
 use crate::{
-    board::{self, Board, Original},
+    board::{self, Board, Original, Outcome},
     report::Left,
-    sdo::{self, Outcome},
+    sdo,
     stop::Stop,
 };
 
@@ -181,7 +181,8 @@ impl Bench {
     fn store_heartbeat(&mut self, node: u8, milliseconds: u16) -> Outcome<()> {
         const SAVE: u32 = u32::from_le_bytes(*b"save");
         let written = self.set_heartbeat(node, milliseconds)?;
-        let saved = sdo::write(&mut self.bus, node, (0x1010, 1), SAVE, 4)?;
+        let saved =
+            sdo::write(&mut self.bus, node, (0x1010, 1), SAVE, 4)?.map_err(|why| why.short());
         Ok(written.and(saved).map_err(|failure| format!("heartbeat time: {failure}")))
     }
 

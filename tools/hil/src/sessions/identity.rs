@@ -93,7 +93,7 @@ pub fn check(bench: &mut Bench) -> Result<(), Stop> {
             let Some(expected) = expected else { continue };
             let text = sdo::read(&mut bench.bus, board.id.get(), index, 0)?;
             let seen = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-            let seen = seen.unwrap_or_else(|failure| failure);
+            let seen = seen.unwrap_or_else(|failure| failure.short());
             let what = format!("{board}: {name}");
             bench.report.under("CiA 301, 7.5.2.8 to 7.5.2.10").equal(what, seen, &expected);
         }

@@ -39,7 +39,7 @@ pub fn sdo(bench: &mut Bench) -> Result<(), Stop> {
                 continue;
             }
             let written = sdo::write(&mut bench.bus, id, object, value, len)?;
-            let seen = written.map_or_else(|failure| failure, |()| "written".to_owned());
+            let seen = written.map_or_else(|failure| failure.short(), |()| "written".to_owned());
             bench.report.equal(format!("{board}: {what}"), seen, expected);
         }
         heartbeat(bench, id)?;
