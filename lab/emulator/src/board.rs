@@ -87,7 +87,6 @@ pub struct Board {
     /// The supply is on, but too low for the chip to leave its reset.
     browned_out: bool,
     dark: Time,
-    power_cut_at: Option<Time>,
     power_ups: u64,
     resets: Vec<(Time, ResetCause)>,
 }
@@ -126,7 +125,6 @@ impl Board {
             powered: false,
             browned_out: false,
             dark: Time::ZERO,
-            power_cut_at: None,
             power_ups: 0,
             resets: Vec::new(),
         };
@@ -161,9 +159,9 @@ impl Board {
         self.engine.wake_time().min(self.next_event())
     }
 
-    /// The time at which the chip acts by itself or the power fails.
+    /// The time at which the chip acts by itself.
     fn next_event(&self) -> Time {
-        self.chip().next_event().min(self.power_cut_at.unwrap_or(Time::MAX))
+        self.chip().next_event()
     }
 
     /// Runs the program until `until`, overshooting by less than an instruction, or to an earlier stop.
@@ -183,10 +181,6 @@ impl Board {
             if halt == Halt::ResetRequested {
                 self.reset(ResetCause::Software);
                 return Stop::Reset(ResetCause::Software);
-            }
-            if self.power_cut_at.is_some_and(|cut| now >= cut) {
-                self.power_off();
-                return Stop::PowerCut;
             }
             if now >= event {
                 let request = self.chip().advance(now);
@@ -252,10 +246,6 @@ impl Board {
         self.resets.push((now, cause));
     }
 
-    pub fn cut_power_at(&mut self, time: Time) {
-        self.power_cut_at = Some(time);
-    }
-
     /// Switches the supply off now. An unfinished flash operation leaves undefined bits.
     pub fn power_off(&mut self) {
         self.browned_out = false;
@@ -263,7 +253,6 @@ impl Board {
             return;
         }
         self.look();
-        self.power_cut_at = None;
         self.dark = self.engine.now();
         self.powered = false;
         self.chip().reset(ResetCause::PowerOn, self.dark);

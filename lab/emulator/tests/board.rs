@@ -7,9 +7,9 @@ use emulator::{
     Time,
     board::{Board, Settings, Stop},
     can::Clock,
-    chip::{ChipVariant, Part, Pin, PowerCut, Problem, ResetCause},
+    chip::{ChipVariant, Part, Pin, Problem, ResetCause},
 };
-use programs::{Program, R0, R1, R2, R3, RCC_AHB1ENR, RCC_APB1ENR, RCC_CFGR, RCC_CR};
+use programs::{Program, R0, R1, R2, RCC_AHB1ENR, RCC_APB1ENR, RCC_CFGR, RCC_CR};
 
 const FLASH_ACR: u32 = 0x4002_3C00;
 const RCC_CSR: u32 = 0x4002_3874;
@@ -19,7 +19,6 @@ const FLASH_KEYR: u32 = 0x4002_3C04;
 const FLASH_CR: u32 = 0x4002_3C10;
 const SYST_CSR: u32 = 0xE000_E010;
 const SYST_RVR: u32 = 0xE000_E014;
-const AIRCR: u32 = 0xE000_ED0C;
 const COUNTER: u32 = 0x2000_0100;
 
 const NVIC_ISER: u32 = 0xE000_E100;
@@ -61,32 +60,6 @@ fn ticker(reload: u32) -> Program {
     program.sleep_forever();
     program.handler(SYSTICK).load(R1, COUNTER).add(R1, 1).store_register(COUNTER, R1).back();
     program
-}
-
-#[test]
-fn a_program_sets_a_pin_at_the_time_of_its_store() {
-    let mut program = Program::new();
-    program.store(RCC_AHB1ENR, 1 << 3).store(GPIOD, 1 << 24).store(GPIOD + 0x18, 1 << 12);
-    program.stop();
-    let mut board = board(program);
-    run(&mut board, Time::from_ms(2));
-    let output = board.output(Pin('D', 12));
-    assert_eq!(output.level, Some(true));
-    // Two cycles of reset, and some twenty of program at 16 MHz.
-    assert!(output.since > START && output.since < START + Time::from_us(3), "{}", output.since);
-    assert_eq!(board.findings(), []);
-}
-
-#[test]
-fn the_bit_band_alias_reaches_peripherals_and_ram() {
-    let mut program = Program::new();
-    program.store(0x4247_0600 + 4 * 3, 1).store(COUNTER, 0).store(0x2200_2000 + 4 * 5, 1);
-    program.stop();
-    let mut board = board(program);
-    run(&mut board, Time::from_ms(2));
-    assert_eq!(word(&board, COUNTER), 1 << 5);
-    board.chip().gpio_mut().set_input(Pin('D', 0), None);
-    assert_eq!(board.findings(), []);
 }
 
 #[test]
@@ -136,30 +109,6 @@ fn systick_and_a_timer_wake_a_sleeping_cpu_exactly_as_often_as_they_interrupt() 
 }
 
 #[test]
-fn the_wake_time_of_a_sleeping_board_is_its_next_interrupt() {
-    for (program, from, until) in [(ticker(15_999), 500, 2_000), (alarms(), 5_500, 6_100)] {
-        let mut board = board(program);
-        run(&mut board, START + Time::from_us(from));
-        let before = word(&board, COUNTER);
-        let wake = board.wake_time();
-        assert!(wake > board.now() && wake < START + Time::from_us(until), "{wake}");
-        run(&mut board, wake);
-        assert_eq!(word(&board, COUNTER), before);
-        run(&mut board, wake + Time::from_us(10));
-        assert_eq!(word(&board, COUNTER), before + 1);
-    }
-}
-
-#[test]
-fn a_reset_stops_a_timer() {
-    let mut board = board(alarms());
-    run(&mut board, START + Time::from_us(2_500));
-    assert_ne!(board.chip().next_event(), Time::MAX);
-    board.reset(ResetCause::Pin);
-    assert_eq!(board.chip().next_event(), Time::MAX);
-}
-
-#[test]
 fn the_core_follows_the_clock_of_rcc_with_the_crystals_error() {
     let mut program = Program::new();
     program.store(RCC_CR, 0x0001_0083).wait_for_ones(RCC_CR, 1 << 17).store(RCC_CFGR, 1);
@@ -172,34 +121,6 @@ fn the_core_follows_the_clock_of_rcc_with_the_crystals_error() {
     run(&mut board, start + Time::from_s(1));
     let (after, _) = board.cycles();
     assert!((after - before).abs_diff(7_999_200) <= 3, "{}", after - before);
-}
-
-#[test]
-fn sysresetreq_resets_the_board_and_keeps_its_ram() {
-    let mut program = Program::new();
-    program.load(R2, RCC_CSR).store_register(COUNTER, R2);
-    program.load(R3, COUNTER + 4).add(R3, 1).store_register(COUNTER + 4, R3);
-    program.sleep_forever_if_nonzero_after(RCC_CSR, 1 << 28);
-    // The last store comes too late.
-    program.store(COUNTER + 4, 7).store(AIRCR, 0x05FA_0004).store(COUNTER + 4, 20).stop();
-    let mut board = board(program);
-    assert_eq!(board.run_until(Time::from_ms(2)), Stop::Reset(ResetCause::Software));
-    run(&mut board, Time::from_ms(2));
-    assert_eq!(word(&board, COUNTER), 0x1E00_0000);
-    assert_eq!(word(&board, COUNTER + 4), 8);
-    let causes: Vec<_> = board.resets().iter().map(|(_, cause)| *cause).collect();
-    assert_eq!(causes, [ResetCause::PowerOn, ResetCause::Software]);
-}
-
-#[test]
-fn the_watchdog_resets_a_sleeping_board_in_time() {
-    let mut program = Program::new();
-    program.store(IWDG_KR, 0xCCCC).sleep_forever();
-    let mut board = board(program);
-    assert_eq!(board.run_until(Time::from_s(1)), Stop::Reset(ResetCause::Watchdog));
-    // 4 * 4096 periods of 32 kHz.
-    let late = board.now() - (START + Time::from_ms(512));
-    assert!(late < Time::from_us(2), "{late}");
 }
 
 #[test]
@@ -295,34 +216,6 @@ fn an_erase_stalls_an_interrupt_only_if_its_vector_is_in_the_flash() {
 }
 
 #[test]
-fn a_staged_power_cut_switches_the_board_off_in_the_middle_of_an_erase() {
-    let mut board = board(eraser());
-    board.set_flash(0x4000, &[0; 0x4000]);
-    board.chip().flash_mut().cut_power(PowerCut { operation: 0, seed: 127 });
-    assert_eq!(board.run_until(Time::from_s(1)), Stop::PowerCut);
-    assert_eq!(board.now().as_ms(), 126);
-    assert!(!board.is_powered());
-    assert!(board.flash()[0x4000..0x8000].contains(&0));
-    board.power_on();
-    run(&mut board, Time::from_s(1));
-    assert_eq!(word(&board, COUNTER), 1);
-}
-
-#[test]
-fn the_supply_goes_away_at_the_instant_that_was_set_and_only_then() {
-    let mut board = board(ticker(9_999));
-    let cut = Time::from_us(2_345);
-    board.cut_power_at(cut);
-    assert_eq!(board.run_until(Time::from_us(2_344)), Stop::Deadline);
-    assert_eq!(board.run_until(Time::from_ms(9)), Stop::PowerCut);
-    assert!(cut <= board.now() && board.now() < cut + Time::from_us(1), "{}", board.now());
-    assert!(!board.is_powered());
-    board.power_on();
-    run(&mut board, Time::from_ms(9));
-    assert!(board.is_powered());
-}
-
-#[test]
 fn nothing_at_an_address_and_a_breakpoint_without_debugger_are_hard_faults() {
     // The second address is right below the RAM, where the stack of a program overflows to.
     for address in [Some(0x6000_0000), Some(0x1FFF_FFFC), None] {
@@ -378,7 +271,7 @@ fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
 }
 
 #[test]
-fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
+fn flash_waits_cost_what_the_prefetch_does_not_hide() {
     const LINES: u64 = 300 / 8;
     let waiting = ChipVariant { flash_waits: true, ..ChipVariant::default() };
     let never = cycles_of_300_additions(5, ChipVariant::default());
@@ -427,34 +320,6 @@ fn a_halted_core_does_nothing_and_the_watchdog_resets_unless_it_is_frozen() {
         }
         assert_eq!((board.resets().len(), board.findings()), (resets, vec![]));
     }
-}
-
-/// RM0440 2.6.
-#[test]
-fn a_board_with_pb8_high_at_a_reset_executes_nothing_and_says_why() {
-    let mut program = Program::new();
-    program.store(COUNTER, 7).stop();
-    let mut board = Board::new(Part::Stm32g431, &program.image(), Settings::default());
-    run(&mut board, Time::from_ms(3));
-    assert_eq!(word(&board, COUNTER), 7);
-    for cause in [ResetCause::PowerOn, ResetCause::Software] {
-        board.power_off();
-        board.chip().gpio_mut().set_input(Pin('B', 8), Some(true));
-        board.power_on();
-        board.reset(cause);
-        let scrambled = word(&board, COUNTER);
-        let before = board.now();
-        run(&mut board, before + Time::from_s(2));
-        assert_eq!((word(&board, COUNTER), board.wake_time()), (scrambled, Time::MAX));
-    }
-    let findings = board.findings();
-    assert_eq!(findings.len(), 1);
-    assert!(findings[0].to_string().contains("BOOT0"), "{}", findings[0]);
-    board.chip().gpio_mut().set_input(Pin('B', 8), Some(false));
-    board.reset(ResetCause::Pin);
-    let before = board.now();
-    run(&mut board, before + Time::from_ms(3));
-    assert_eq!(word(&board, COUNTER), 7);
 }
 
 /// RM0440 3.3.4.
@@ -530,16 +395,6 @@ fn on_crystal(security: u32) -> Program {
 }
 
 #[test]
-fn the_clock_security_system_wakes_a_board_whose_crystal_stops() {
-    let mut board = board(on_crystal(1 << 19));
-    run(&mut board, Time::from_ms(10));
-    board.stop_crystal();
-    run(&mut board, Time::from_ms(10) + Time::from_us(10));
-    assert_eq!((word(&board, COUNTER), board.resets().len()), (4, 1));
-    assert_eq!(board.chip().clocks().hclk.hz, 16_000_000);
-}
-
-#[test]
 fn without_clock_security_only_the_watchdog_ends_the_silence() {
     let mut board = board(on_crystal(0));
     run(&mut board, Time::from_ms(10));
@@ -565,51 +420,12 @@ fn a_fault_in_the_fault_handler_locks_up_until_the_watchdog_resets() {
 }
 
 #[test]
-fn findings_name_the_instruction() {
-    let mut program = Program::new();
-    program.load(R0, 0x4000_5400);
-    let pc = program.here() - 2;
-    program.stop();
-    let mut board = board(program);
-    run(&mut board, Time::from_ms(2));
-    let findings = board.findings();
-    assert_eq!((findings.len(), findings[0].problem, findings[0].pc), (1, Problem::Unmodelled, pc));
-}
-
-#[test]
 fn systick_on_the_external_clock_is_found() {
     let mut program = Program::new();
     program.store(SYST_RVR, 99).store(SYST_CSR, 1).sleep_forever();
     let mut board = board(program);
     run(&mut board, Time::from_ms(2));
     assert_eq!(board.findings().len(), 1);
-}
-
-#[test]
-fn a_program_that_loops_in_place_costs_as_little_as_a_sleeping_one() {
-    let mut program = Program::new();
-    program.stop();
-    let mut board = board(program);
-    run(&mut board, Time::from_s(1_000));
-    assert!(board.now() < Time::from_s(1_000) + Time::from_us(1));
-    assert_eq!(board.wake_time(), Time::MAX);
-}
-
-#[test]
-fn every_part_starts_its_program() {
-    for part in Part::F4 {
-        let mut program = Program::new();
-        program.store(COUNTER, 5).stop();
-        let mut board = Board::new(part, &program.image(), Settings::default());
-        run(&mut board, Time::from_ms(2));
-        assert_eq!(word(&board, COUNTER), 5, "{part:?}");
-    }
-}
-
-#[test]
-fn a_board_can_move_to_another_thread() {
-    fn is_send(_: impl Send) {}
-    is_send(board(ticker(15_999)));
 }
 
 const VTOR: u32 = 0xE000_ED08;

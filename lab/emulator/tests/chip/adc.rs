@@ -2,7 +2,7 @@
 
 use emulator::{
     Time,
-    chip::{Analogue, Part, Problem, Width},
+    chip::{Analogue, Part, Problem},
 };
 
 use crate::rig::{RCC_APB2ENR, Rig};
@@ -13,8 +13,6 @@ const SMPR1: u32 = 0x4001_200C;
 const SQR3: u32 = 0x4001_2034;
 const DR: u32 = 0x4001_204C;
 const CCR: u32 = 0x4001_2304;
-const REFERENCE_CALIBRATION: u32 = 0x1FFF_7A2A;
-const SENSOR_CALIBRATION: u32 = 0x1FFF_7A2C;
 
 const ADON: u32 = 1 << 0;
 const SWSTART: u32 = 1 << 30;
@@ -50,30 +48,6 @@ fn a_conversion_takes_its_sampling_time_and_twelve_cycles() {
 fn a_channel_measures_its_voltage_against_the_supply() {
     let at = |mv| sample(&mut converting(Part::Stm32f405, 3, |world| world.channels_mv[3] = mv));
     assert_eq!([0, 1_500, 3_000, 5_000].map(at), [0, 2_047, 4_095, 4_095]);
-}
-
-#[test]
-fn the_sensor_and_its_calibration_give_the_temperature() {
-    for (part, channel) in [(Part::Stm32f405, 16), (Part::Stm32f412, 18), (Part::Stm32f446, 18)] {
-        for celsius in [-40, 25, 85] {
-            let mut rig = converting(part, channel, |world| {
-                world.temperature = celsius;
-                world.supply_mv = 3_300;
-            });
-            let calibrations = [SENSOR_CALIBRATION, SENSOR_CALIBRATION + 2];
-            let [at_30, at_110] = calibrations.map(|at| rig.load(at, Width::Half) as i32);
-            let measured = 30 + 80 * (sample(&mut rig) as i32 - at_30) / (at_110 - at_30);
-            assert!((measured - celsius).abs() <= 1, "{part:?}: {measured} instead of {celsius}");
-        }
-    }
-}
-
-#[test]
-fn the_reference_shows_the_supply() {
-    let mut rig = converting(Part::Stm32f405, 17, |world| world.supply_mv = 2_800);
-    let at_3300 = rig.load(REFERENCE_CALIBRATION, Width::Half);
-    let supply_mv = 3_300 * at_3300 / sample(&mut rig);
-    assert!(supply_mv.abs_diff(2_800) <= 2, "{supply_mv} mV");
 }
 
 #[test]

@@ -2,8 +2,7 @@
 
 use emulator::{
     Time,
-    can::Clock,
-    chip::{ChipVariant, Part, Pin, Problem, Request, ResetCause, Thresholds, Width},
+    chip::{ChipVariant, Part, Problem, ResetCause, Thresholds, Width},
 };
 
 use crate::rig::{
@@ -11,7 +10,6 @@ use crate::rig::{
     RCC_PLLCFGR, Rig,
 };
 
-const RCC_CIR: u32 = 0x4002_380C;
 const IWDG: u32 = 0x4000_3000;
 const PWR_CSR: u32 = 0x4000_7004;
 
@@ -28,20 +26,6 @@ fn at_128_mhz(part: Part) -> Rig {
     let mut rig = Rig::new(part);
     switch_to_pll(&mut rig, 128, 4, 4 << 13 | 5 << 10);
     rig
-}
-
-#[test]
-fn the_pll_makes_128_mhz_and_32_mhz_with_the_crystals_error() {
-    for part in Part::F4.into_iter().filter(|part| part.clock_limits().0 > 128_000_000) {
-        let mut rig = at_128_mhz(part);
-        let clocks = rig.clocks();
-        assert_eq!(clocks.hclk, Clock { hz: 128_000_000, ppm: 20 });
-        assert_eq!(clocks.pclk1, Clock { hz: 32_000_000, ppm: 20 });
-        assert_eq!(clocks.pclk2, Clock { hz: 64_000_000, ppm: 20 });
-        assert_eq!(rig.read(RCC_CFGR) & 0xF, 0b0010, "SWS follows");
-        assert_eq!(rig.at(Time::from_ms(12)).read(RCC_CFGR) & 0xF, 0b1010);
-        assert_eq!(rig.findings(), []);
-    }
 }
 
 /// The problems of a PLL clock of 8 MHz / 4 * `n` / 2 with APB1 at an eighth and APB2 at a quarter of it.
@@ -158,29 +142,6 @@ fn a_crystal_starts_without_hsebyp_and_an_external_clock_with_it() {
 }
 
 #[test]
-fn with_clock_security_a_crystal_that_stops_leaves_hsi_and_interrupts() {
-    let mut rig = at_128_mhz(Part::Stm32f405);
-    let now = Time::from_s(1);
-    rig.at(now).write(RCC_CR, 0x0109_0083);
-    assert!(!rig.nmi());
-    rig.stop_crystal(now);
-    assert_eq!((rig.nmi(), rig.is_stopped()), (true, false));
-    // The prescalers keep their values: APB1 runs at a quarter of 16 MHz.
-    assert_eq!((rig.clocks().hclk.hz, rig.clocks().pclk1.hz), (16_000_000, 4_000_000));
-    assert_eq!(rig.read(RCC_CR) & 0x0303_0003, 0x0000_0003);
-    assert_eq!(rig.read(RCC_CIR), 1 << 7);
-    rig.write(RCC_CIR, 1 << 23);
-    assert!(!rig.nmi());
-
-    let later = Time::from_s(2);
-    rig.write(RCC_CR, 0x0009_0083);
-    assert_eq!(rig.at(later).read(RCC_CR) >> 17 & 1, 0, "it does not work");
-    rig.start_crystal(later);
-    assert_eq!(rig.at(later + Time::from_ms(2)).read(RCC_CR) >> 17 & 1, 1);
-    assert_eq!(rig.findings(), []);
-}
-
-#[test]
 fn the_voltage_detector_compares_the_supply_with_the_chosen_level() {
     // PLS, then the rising and the falling level of the lowest, the typical and the highest chip.
     let levels = [
@@ -278,48 +239,6 @@ fn reset_flags_add_up_until_they_are_removed() {
 }
 
 #[test]
-fn an_output_keeps_the_time_of_its_last_change() {
-    let mut rig = Rig::new(Part::Stm32f405);
-    rig.write(RCC_AHB1ENR, 1);
-    let mut level = |ms, register, value, expected, since_ms| {
-        rig.at(Time::from_ms(ms)).write(GPIOA + register, value);
-        let output = rig.gpio().output(Pin('A', 5));
-        assert_eq!((output.level, output.since), (expected, Time::from_ms(since_ms)), "{ms} ms");
-    };
-    level(0, 0x00, 0xA800_0000, None, 0);
-    level(1, 0x00, 0xA800_0400, Some(false), 1);
-    level(2, 0x18, 1 << 5, Some(true), 2);
-    level(3, 0x18, 1 << 5 | 1 << 6, Some(true), 2);
-    level(5, 0x18, 1 << 21, Some(false), 5);
-}
-
-#[test]
-fn an_input_reads_its_pull_until_something_is_connected() {
-    let mut rig = Rig::new(Part::Stm32f405);
-    rig.write_all(&[(RCC_AHB1ENR, 1), (GPIOA + 0x0C, 0x6400_0001)]);
-    assert_eq!(rig.read(GPIOA + 0x10) & 1, 1);
-    rig.gpio_mut().set_input(Pin('A', 0), Some(false));
-    assert_eq!(rig.read(GPIOA + 0x10) & 1, 0);
-}
-
-#[test]
-fn the_watchdog_runs_out_after_its_periods_of_lsi() {
-    let mut rig = Rig::new(Part::Stm32f405);
-    let start = Time::from_ms(7);
-    rig.at(start).write_all(&[(IWDG, 0x5555), (IWDG + 4, 3), (IWDG + 8, 999)]);
-    assert_eq!(rig.read(IWDG + 12), 3);
-    rig.write(IWDG, 0xCCCC);
-    // The first count is from 4095, at 32 kHz / 32; then 1000 periods.
-    assert_eq!(rig.next_event(), start + Time::from_ms(4096));
-    assert_eq!(rig.at(start + Time::from_ms(1)).read(IWDG + 12), 0);
-    rig.at(start + Time::from_ms(400)).write(IWDG, 0xAAAA);
-    assert_eq!(rig.next_event(), start + Time::from_ms(1400));
-    let request = rig.advance(start + Time::from_ms(1400));
-    assert_eq!(request, Some(Request::Reset(ResetCause::Watchdog)));
-    assert_eq!(rig.findings(), []);
-}
-
-#[test]
 fn a_fast_lsi_shortens_the_watchdog() {
     let variant = ChipVariant { lsi_hz: 47_000, ..ChipVariant::default() };
     let mut rig = Rig::with_variant(Part::Stm32f405, variant);
@@ -340,14 +259,15 @@ fn a_byte_on_apb_is_repeated_in_every_lane_and_one_on_ahb_is_not() {
     }
 }
 
+/// RM0090 4.4.
 #[test]
-fn the_factory_data_is_readable_in_any_width() {
-    for part in Part::F4 {
-        let mut rig = Rig::new(part);
-        assert_eq!(rig.read(0x1FFF_7A10).to_le_bytes(), *b"uniq");
-        assert_eq!(rig.read(0x1FFF_7A18).to_le_bytes(), *b"d 12");
-        assert_eq!(rig.load(0x1FFF_7A22, Width::Half) * 1024, part.flash_size());
-        assert_eq!(rig.read(0xE004_2000), part.id_code());
-        assert_eq!(rig.findings(), []);
-    }
+fn the_crc_unit_needs_its_clock_and_whole_words() {
+    const CRCEN: u32 = 1 << 12;
+    const DR: u32 = 0x4002_3000;
+    let mut rig = Rig::new(Part::Stm32f405);
+    rig.write(DR, 0);
+    rig.write(RCC_AHB1ENR, CRCEN);
+    rig.store(DR, Width::Byte, 0).expect("no bus error");
+    assert_eq!(rig.read(DR), u32::MAX);
+    assert_eq!(rig.problems(), [Problem::ClockOff, Problem::Width]);
 }

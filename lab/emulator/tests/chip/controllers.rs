@@ -10,8 +10,7 @@ use emulator::{
 };
 
 use crate::rig::{
-    BTR, F0R1, FA1R, FM1R, FMR, FS1R, GPIOB, IER, MCR, MEGABIT, RCC_APB1ENR, RF0R, Rig, SILENT,
-    TI0R, standard,
+    BTR, F0R1, FA1R, FM1R, FMR, FS1R, GPIOB, MCR, MEGABIT, RCC_APB1ENR, RF0R, Rig, SILENT, standard,
 };
 
 const FINIT: u32 = 1;
@@ -84,40 +83,6 @@ impl Rig {
 /// The register of a controller that corresponds to one of CAN1.
 fn register(can: usize, of_can1: u32) -> u32 {
     of_can1 + 0x400 * can as u32
-}
-
-/// Interrupts: a transmission completed, FIFO 0 has a message, FIFO 1 has one, error or wake-up (RM0430, 10.2).
-const INTERRUPTS: [[u32; 4]; 3] = [[19, 20, 21, 22], [63, 64, 65, 66], [74, 75, 76, 77]];
-
-#[test]
-fn each_controller_has_its_own_clock_and_interrupts() {
-    for part in Part::F4 {
-        let mut rig = running(part);
-        rig.set_filters(0, 14, &[(0, 0x100), (14, 0x100)]);
-        if part.cans() == 3 {
-            rig.set_filters(2, 14, &[(0, 0x100)]);
-        }
-        // CAN1 last: its reset takes the filters of CAN2.
-        for can in (0..part.cans()).rev() {
-            // Transmission, FIFO 0 and errors interrupt.
-            rig.write(register(can, IER), 1 << 15 | 1 << 11 | 0b11);
-            assert_eq!(rig.irqs(), 0, "{part:?}");
-            rig.write(register(can, TI0R), 0x200 << 21 | 1);
-            rig.run_us(1_000);
-            assert_eq!(rig.irqs(), 1 << INTERRUPTS[can][0], "{part:?} CAN{}", can + 1);
-            rig.send_to(can, 0x100);
-            let both = 1 << INTERRUPTS[can][0] | 1 << INTERRUPTS[can][1];
-            assert_eq!(rig.irqs(), both, "{part:?} CAN{}", can + 1);
-            rig.reset_by_rcc(1 << (25 + can));
-            assert_eq!(rig.irqs(), 0, "{part:?} CAN{}", can + 1);
-        }
-        assert_eq!(rig.problems(), []);
-        rig.write(RCC_APB1ENR, 0);
-        for can in 0..part.cans() {
-            rig.read(register(can, MCR));
-        }
-        assert_eq!(rig.problems().len(), part.cans());
-    }
 }
 
 #[test]

@@ -2,10 +2,7 @@
 
 use emulator::{
     Time,
-    can::{
-        Frame, Id,
-        fdcan::{IT0, IT1},
-    },
+    can::{Frame, Id},
     chip::{Part, Problem},
     network::Short,
 };
@@ -24,9 +21,6 @@ const TSCC: u32 = 0x4000_6420;
 const ECR: u32 = 0x4000_6440;
 const PSR: u32 = 0x4000_6444;
 const IR: u32 = 0x4000_6450;
-const IE: u32 = 0x4000_6454;
-const ILS: u32 = 0x4000_6458;
-const ILE: u32 = 0x4000_645C;
 const RXGFC: u32 = 0x4000_6480;
 const XIDAM: u32 = 0x4000_6484;
 const HPMS: u32 = 0x4000_6488;
@@ -39,7 +33,6 @@ const TXBAR: u32 = 0x4000_64CC;
 const TXBCR: u32 = 0x4000_64D0;
 const TXBTO: u32 = 0x4000_64D4;
 const TXBCF: u32 = 0x4000_64D8;
-const TXBTIE: u32 = 0x4000_64DC;
 const TXBCIE: u32 = 0x4000_64E0;
 const TXEFS: u32 = 0x4000_64E4;
 const TXEFA: u32 = 0x4000_64E8;
@@ -54,11 +47,11 @@ const CCE: u32 = 1 << 1;
 const MON: u32 = 1 << 5;
 const DAR: u32 = 1 << 6;
 const QUEUE: u32 = 1 << 24;
-const TC: u32 = 1 << 7;
 const TCF: u32 = 1 << 8;
 const TEFN: u32 = 1 << 10;
 const EW: u32 = 1 << 18;
 const BO: u32 = 1 << 19;
+
 /// An event is wanted.
 const EFC: u32 = 1 << 23;
 
@@ -103,25 +96,6 @@ impl Rig {
     }
 }
 
-#[test]
-fn registers_have_the_values_of_a_reset() {
-    let mut rig = Rig::new(Part::Stm32g431);
-    rig.write(APB1ENR1, 1 << 25);
-    for (register, value) in [
-        (0x4000_6404, 0x8765_4321),
-        (CCCR, INIT),
-        (NBTP, 0x0600_0A03),
-        (ECR, 0),
-        (PSR, 0x707),
-        (XIDAM, 0x1FFF_FFFF),
-        (TXFQS, 3),
-        (TXBRP, 0),
-    ] {
-        assert_eq!(rig.read(register), value, "{register:08x}");
-    }
-    assert_eq!(rig.findings(), []);
-}
-
 /// 44.3.2: protected registers, and those that CCE resets.
 #[test]
 fn configuration_needs_init_and_then_cce_and_clears_requests() {
@@ -139,22 +113,6 @@ fn configuration_needs_init_and_then_cce_and_clears_requests() {
     assert_eq!((rig.read(CCCR), rig.read(TXBRP)), (INIT, 2), "CCE only after INIT");
     rig.write(CCCR, INIT | CCE);
     assert_eq!((rig.read(CCCR), rig.read(TXBRP)), (INIT | CCE, 0));
-}
-
-/// 44.4.30 to 44.4.35.
-#[test]
-fn a_requested_frame_is_sent_and_interrupts_if_txbtie_says_so() {
-    for (enabled, interrupt) in [(0b101, 0), (0b010, TC)] {
-        let mut rig = Rig::on_the_bus(&[(TXBC, QUEUE)], 0);
-        rig.write(TXBTIE, enabled);
-        rig.write(BUFFERS + 72 + 8, 0x4433_2211);
-        rig.request(1, 0x123 << 18, 4 << 16);
-        assert_eq!((rig.read(TXBRP), rig.read(TXFQS)), (2, 0), "the first buffer is free");
-        rig.run_us(100);
-        assert_eq!(rig.received(), [standard(0x123, &[0x11, 0x22, 0x33, 0x44])]);
-        assert_eq!((rig.read(TXBRP), rig.read(TXBTO), rig.read(TXBCF)), (0, 2, 0));
-        assert_eq!(rig.read(IR), interrupt);
-    }
 }
 
 /// 44.3.4: transmit FIFO and transmit queue.
@@ -354,22 +312,6 @@ fn a_write_to_test_is_ignored_while_cccr_test_is_0() {
     assert_eq!((rig.read(TEST), rig.problems()), (1 << 7, vec![]));
     rig.write_all(&[(CCCR, INIT | CCE | 1 << 7), (TEST, 1 << 4)]);
     assert_eq!(rig.read(TEST), 1 << 7 | 1 << 4);
-}
-
-/// 44.4.16 and 44.4.17.
-#[test]
-fn ils_chooses_the_line_and_ile_enables_it() {
-    for (ils, ile, lines) in [(0, 3, IT0), (1, 3, IT1), (1, 1, 0), (2, 2, 0)] {
-        let mut rig = Rig::on_the_bus(&[], 0);
-        rig.write_all(&[(IE, 1), (ILS, ils), (ILE, ile)]);
-        rig.send(standard(1, &[]));
-        rig.run_us(100);
-        assert_eq!(rig.irq(), lines, "{ils} {ile}");
-        let number = 21 + lines.trailing_zeros();
-        assert_eq!(rig.irqs(), if lines == 0 { 0 } else { 1 << number });
-        rig.write(IR, 1);
-        assert_eq!(rig.irq(), 0);
-    }
 }
 
 /// 44.3.2: bus monitoring mode, and loop back modes.

@@ -4,10 +4,7 @@ use std::collections::BTreeSet;
 
 use emulator::{
     Time,
-    chip::{
-        BusFault, ChipVariant, Part, PowerCut, Problem, Request, ResetCause, StuckBits, Timing,
-        Width,
-    },
+    chip::{BusFault, ChipVariant, Part, PowerCut, Problem, Request, ResetCause, Timing, Width},
 };
 
 use crate::rig::{FLASH_ACR as ACR, RCC_AHB1ENR, Rig};
@@ -110,22 +107,6 @@ fn an_erase_sets_its_sector_and_no_other() {
 }
 
 #[test]
-fn a_sector_that_the_part_lacks_is_a_sequence_error() {
-    for (part, number) in [
-        (Part::Stm32f405, 12),
-        (Part::Stm32f413, 16),
-        (Part::Stm32f427, 12),
-        (Part::Stm32f446, 8),
-        (Part::Stm32f469, 15),
-    ] {
-        let mut rig = unlocked(part);
-        rig.erase(number);
-        assert_eq!(rig.read(SR), PGSERR, "{part:?}");
-        assert_eq!(rig.flash().operations(), 0);
-    }
-}
-
-#[test]
 fn times_follow_the_data_sheet() {
     for (part, timing, size, sector, ms) in [
         (Part::Stm32f405, Timing::Typical, 2, 1, 250),
@@ -140,22 +121,6 @@ fn times_follow_the_data_sheet() {
         rig.flash_mut().set_timing(timing);
         rig.write(CR, size << 8 | SER | sector << 3 | STRT);
         assert_eq!(rig.wait().as_ms(), ms, "{part:?}, {timing:?}, sector {sector}");
-    }
-}
-
-#[test]
-fn the_last_protection_bit_of_an_f413_is_for_two_sectors() {
-    for (protected, bits) in [(13, 0x5FFF), (14, 0x3FFF), (15, 0x3FFF)] {
-        let mut rig = unlocked(Part::Stm32f413);
-        rig.flash_mut().protect_sectors(1 << protected);
-        assert_eq!(rig.read(OPTCR) >> 16, bits);
-        for number in 12..16 {
-            rig.erase_and_wait(number);
-            let is_refused = rig.read(SR) & WRPERR != 0;
-            let is_protected = number == protected || protected >= 14 && number >= 14;
-            assert_eq!(is_refused, is_protected, "sector {number}, {protected} protected");
-            rig.write(SR, WRPERR);
-        }
     }
 }
 
@@ -254,51 +219,6 @@ fn only_the_bank_that_works_stalls_its_readers() {
 }
 
 #[test]
-fn stuck_bits_survive_programming_and_erasing() {
-    let mut rig = unlocked(Part::Stm32f405);
-    let stuck = StuckBits { offset: 0x4001, mask: 0x11, value: 0x01 };
-    rig.flash_mut().add_stuck_bits(stuck);
-    rig.erase_and_wait(1);
-    assert_eq!(rig.cells(0x4000), 0xFFFF_EFFF);
-    rig.program_and_wait(0x4000, 0);
-    assert_eq!(rig.cells(0x4000), 0x0000_0100);
-}
-
-#[test]
-fn a_failing_erase_leaves_other_than_blank_without_a_flag() {
-    let mut rig = unlocked(Part::Stm32f405);
-    rig.flash_mut().load(0x4000, &[0; 0x4000]);
-    rig.flash_mut().fail_erases(1, 0);
-    rig.erase_and_wait(1);
-    let sector = |rig: &Rig| rig.flash().bytes()[0x4000..0x8000].to_vec();
-    assert!(sector(&rig).iter().any(|&byte| byte != 0xFF));
-    assert_eq!(rig.read(SR), 0);
-    rig.erase_and_wait(1);
-    assert!(sector(&rig).iter().all(|&byte| byte == 0xFF));
-}
-
-#[test]
-fn a_failing_program_operation_leaves_a_bit_without_a_flag() {
-    let mut rig = unlocked(Part::Stm32f405);
-    rig.flash_mut().fail_programs(1);
-    for (at, left) in [(0x4000_u32, 0x1234_5679), (0x4004, 0x1234_5678)] {
-        rig.program_and_wait(at, 0x1234_5678);
-        assert_eq!(rig.cells(at as usize), left);
-        assert_eq!(rig.read(SR), 0);
-    }
-}
-
-#[test]
-fn a_refused_program_operation_sets_a_flag_and_no_bit() {
-    let mut rig = unlocked(Part::Stm32f405);
-    rig.flash_mut().refuse_programs(1);
-    rig.program(0x4000, 0x1234_5678);
-    assert_eq!((rig.read(SR), rig.cells(0x4000)), (PGSERR, u32::MAX));
-    rig.program_and_wait(0x4000, 0x1234_5678);
-    assert_eq!(rig.cells(0x4000), 0x1234_5678);
-}
-
-#[test]
 fn a_power_cut_leaves_a_word_between_its_old_and_its_new_value() {
     let mut torn = 0;
     for seed in 0..200 {
@@ -365,26 +285,6 @@ fn a_word_that_was_cut_flips_until_it_is_programmed_again() {
 }
 
 #[test]
-fn all_registers_but_the_keys_take_bytes_and_half_words() {
-    let mut rig = unlocked(Part::Stm32f405);
-    rig.write(ACR, 0x0300);
-    rig.store(ACR, Width::Byte, 5).expect("no bus error");
-    assert_eq!(rig.read(ACR), 0x0305);
-    rig.store(CR + 1, Width::Byte, 2).expect("no bus error");
-    rig.store(CR, Width::Byte, 1).expect("no bus error");
-    assert_eq!(rig.read(CR), X32 | PG);
-    // A byte store while PSIZE selects words.
-    rig.store(0x0800_4000, Width::Byte, 0).expect("no bus error");
-    rig.write_all(&[(CR, X32), (0x0800_4000, 0)]);
-    assert_eq!(rig.read(SR), PGPERR | PGSERR);
-    rig.store(SR, Width::Half, PGPERR).expect("no bus error");
-    assert_eq!(rig.read(SR), PGSERR);
-    assert_eq!(rig.findings(), []);
-    rig.store(KEYR, Width::Half, 0x0123).expect("no bus error");
-    assert_eq!(rig.findings().len(), 1);
-}
-
-#[test]
 fn words_below_2_7_v_and_double_words_without_vpp_are_found() {
     let finds = |mv: u32, psize: u32| {
         let mut rig = unlocked(Part::Stm32f405);
@@ -397,17 +297,5 @@ fn words_below_2_7_v_and_double_words_without_vpp_are_found() {
     let cases = [(3_300, 2, 0), (2_700, 2, 0), (2_699, 2, 1), (2_699, 1, 0), (2_000, 1, 1)];
     for (mv, psize, findings) in cases.into_iter().chain([(1_800, 0, 0), (3_300, 3, 1)]) {
         assert_eq!(finds(mv, psize), findings, "{mv} mV, PSIZE {psize}");
-    }
-}
-
-#[test]
-fn the_end_of_an_operation_interrupts_only_if_asked_to() {
-    const EOPIE: u32 = 1 << 24;
-    for enable in [0, EOPIE] {
-        let mut rig = unlocked(Part::Stm32f405);
-        rig.write_all(&[(CR, X32 | PG | enable), (0x0800_4000, 0)]);
-        rig.wait();
-        assert_eq!(rig.read(SR), u32::from(enable != 0));
-        assert_eq!(rig.irqs() >> 4 & 1, u128::from(enable != 0));
     }
 }

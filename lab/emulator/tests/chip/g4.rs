@@ -2,7 +2,6 @@
 
 use emulator::{
     Time,
-    can::Clock,
     chip::{BusFault, Part, Pin, PowerCut, Problem, Request, ResetCause, Timing, Width},
     network::Short,
 };
@@ -13,11 +12,8 @@ const CR: u32 = 0x4002_1000;
 const CFGR: u32 = 0x4002_1008;
 const PLLCFGR: u32 = 0x4002_100C;
 const AHB2ENR: u32 = 0x4002_104C;
-const APB1RSTR1: u32 = 0x4002_1038;
 const APB1ENR1: u32 = 0x4002_1058;
-const CCIPR: u32 = 0x4002_1088;
 const BDCR: u32 = 0x4002_1090;
-const CSR: u32 = 0x4002_1094;
 const PWR_CR1: u32 = 0x4000_7000;
 const PWR_CR5: u32 = 0x4000_7080;
 const ACR: u32 = 0x4002_2000;
@@ -48,22 +44,6 @@ fn on_pll(n: u32, wait_states: u32, boost: bool) -> Rig {
     rig.at_us(10_000).write(CR, 1 << 24 | 1 << 16 | 1 << 8);
     rig.at_us(11_000).write(CFGR, 4 << 8 | 3);
     rig
-}
-
-/// 7.2 and 7.4.27, FDCANSEL.
-#[test]
-fn fdcan_is_clocked_by_crystal_pll_or_apb1() {
-    let mut rig = on_pll(80, 4, true);
-    assert_eq!(rig.read(CR) & 0x0202_0400, 0x0202_0400, "all are ready");
-    assert_eq!(rig.read(CFGR) & 0xF, 0xF);
-    assert_eq!(rig.findings(), []);
-    assert_eq!(rig.clocks().hclk.hz, 160_000_000);
-    for (selection, hz) in [(0, 8_000_000), (1, 80_000_000), (2, 80_000_000)] {
-        rig.write(CCIPR, selection << 24);
-        assert_eq!(rig.clocks().can, Clock { hz, ppm: 20 });
-    }
-    rig.write(CFGR, 3);
-    assert_eq!(rig.clocks().can.hz, 160_000_000);
 }
 
 /// 3.3.3, wait states, and 6.1.5, ranges.
@@ -98,48 +78,6 @@ fn misuse_of_the_clocks_is_found() {
     assert_eq!(rig.problems(), [Problem::Misuse("PLL VCO outside 96..344 MHz")]);
     rig.read(0x4800_0000);
     assert_eq!(rig.problems()[1], Problem::ClockOff, "GPIOA");
-}
-
-#[test]
-fn a_reset_shows_its_cause_and_the_watchdog_starts_lsi() {
-    let mut rig = Rig::new(Part::Stm32g431);
-    assert_eq!(rig.read(CSR), 3 << 26);
-    rig.write(CSR, 1 << 23);
-    assert_eq!(rig.read(CSR), 0);
-    rig.write_all(&[(AHB2ENR, 1), (0x4800_0018, 1), (0x4000_3000, 0xCCCC)]);
-    assert_eq!(rig.at_us(100).read(CSR), 0b11);
-    let at = rig.next_event();
-    assert_eq!(at.as_ms(), 512);
-    assert_eq!(rig.advance(at), Some(Request::Reset(ResetCause::Watchdog)));
-    rig.reset_now(ResetCause::Watchdog);
-    assert_eq!((rig.read(CSR), rig.read(AHB2ENR)), (1 << 29 | 1 << 26, 0));
-}
-
-#[test]
-fn rcc_resets_a_timer_and_the_unique_id_has_its_place() {
-    const TIM2_ARR: u32 = 0x4000_002C;
-    let mut rig = Rig::new(Part::Stm32g431);
-    rig.write_all(&[(APB1ENR1, 1), (TIM2_ARR, 5)]);
-    assert_eq!(rig.read(TIM2_ARR), 5);
-    rig.write_all(&[(APB1RSTR1, 1), (APB1RSTR1, 0)]);
-    assert_eq!(rig.read(TIM2_ARR), u32::MAX);
-    let id = [0, 4, 8].map(|offset| rig.read(0x1FFF_7590 + offset).to_le_bytes());
-    assert_eq!(id.concat(), *b"unique id 12");
-    assert_eq!(rig.load(0x1FFF_75E0, Width::Half), 128);
-    assert_eq!(rig.findings(), []);
-}
-
-/// The reset values of 3.7 and 9.4.1: the caches are on, and all pins but those of the debugger are analogue.
-#[test]
-fn flash_and_ports_have_the_values_of_the_manual_after_a_reset() {
-    let mut rig = Rig::new(Part::Stm32g431);
-    rig.write(AHB2ENR, 0x7F);
-    let moder = [0, 1, 2, 3, 4, 5, 6].map(|port| rig.read(0x4800_0000 + 0x400 * port));
-    assert_eq!(moder[..2], [0xABFF_FFFF, 0xFFFF_FEBF]);
-    assert_eq!(moder[2..], [u32::MAX; 5]);
-    let flash = [ACR, FLASH_CR, FLASH_ECCR, FLASH_OPTR].map(|register| rig.read(register));
-    assert_eq!(flash, [0x0600, 0xC000_0000, 0, 0xFFEF_F8AA]);
-    assert_eq!(rig.findings(), []);
 }
 
 fn unlocked() -> Rig {
@@ -278,20 +216,6 @@ fn an_interrupted_erase_leaves_double_errors_until_the_next_erase() {
     rig.write_all(&erase);
     rig.finish();
     assert_eq!(rig.flash().double_errors().count(), 0);
-}
-
-/// 10.2.7, SPF.
-#[test]
-fn an_error_of_the_parity_of_the_sram_is_an_nmi_until_spf_is_cleared() {
-    const SYSCFG_CFGR2: u32 = 0x4001_0018;
-    let mut rig = Rig::new(Part::Stm32g431);
-    rig.write(0x4002_1060, 1);
-    rig.fail_parity();
-    assert_eq!((rig.nmi(), rig.read(SYSCFG_CFGR2)), (true, 1 << 8));
-    rig.write(SYSCFG_CFGR2, 0);
-    assert!(rig.nmi());
-    rig.write(SYSCFG_CFGR2, 1 << 8);
-    assert_eq!((rig.nmi(), rig.findings().len()), (false, 0));
 }
 
 /// 2.6: nSWBOOT0 and nBOOT0 in FLASH_OPTR, and PB8.

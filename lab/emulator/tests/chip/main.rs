@@ -4,7 +4,6 @@ mod adc;
 mod bxcan;
 mod clocks;
 mod controllers;
-mod crc;
 mod fdcan;
 mod flash;
 mod g4;

@@ -26,7 +26,6 @@ pub const MCR: u32 = 0x4000_6400;
 pub const MSR: u32 = 0x4000_6404;
 pub const TSR: u32 = 0x4000_6408;
 pub const RF0R: u32 = 0x4000_640C;
-pub const RF1R: u32 = 0x4000_6410;
 pub const IER: u32 = 0x4000_6414;
 pub const ESR: u32 = 0x4000_6418;
 pub const BTR: u32 = 0x4000_641C;
@@ -45,7 +44,6 @@ pub const TXFP: u32 = 4;
 pub const RFLM: u32 = 8;
 pub const NART: u32 = 16;
 pub const AWUM: u32 = 32;
-pub const TTCM: u32 = 1 << 7;
 pub const MCR_RESET: u32 = 1 << 15;
 
 pub const INAK: u32 = 1;

@@ -2,14 +2,12 @@
 
 use emulator::{
     Time,
-    can::Clock,
-    chip::{ChipVariant, Part, Problem, Width},
+    chip::{Part, Problem, Width},
 };
 
-use crate::rig::{FLASH_ACR, RCC_APB1ENR, RCC_APB2ENR, RCC_CFGR, RCC_CR, RCC_PLLCFGR, Rig};
+use crate::rig::{RCC_APB1ENR, RCC_APB2ENR, Rig};
 
 const TIM2: u32 = 0x4000_0000;
-const TIM5: u32 = 0x4000_0C00;
 const CR1: u32 = 0x00;
 const DIER: u32 = 0x0C;
 const SR: u32 = 0x10;
@@ -19,9 +17,6 @@ const PSC: u32 = 0x28;
 const ARR: u32 = 0x2C;
 const CCR1: u32 = 0x34;
 const CCR4: u32 = 0x40;
-
-const TIM2_IRQ: u32 = 28;
-const TIM5_IRQ: u32 = 50;
 
 /// A chip at 16 MHz with `timer` counting microseconds from time zero on.
 fn counting(timer: u32) -> Rig {
@@ -37,81 +32,6 @@ fn set(rig: &mut Rig, timer: u32, registers: &[(u32, u32)]) {
 }
 
 #[test]
-fn a_timer_counts_its_clock_divided_by_the_prescaler() {
-    for timer in [TIM2, TIM5] {
-        let mut rig = counting(timer);
-        for us in [0, 1, 2, 999, 123_456_789] {
-            let now = Time::from_us(us);
-            assert_eq!(u64::from(rig.at(now).read(timer + CNT)), us);
-            let almost = now + Time::from_ns(999);
-            assert_eq!(u64::from(rig.at(almost).read(timer + CNT)), us);
-        }
-        assert_eq!(rig.problems(), []);
-    }
-}
-
-#[test]
-fn a_timer_counts_twice_as_fast_as_a_slow_apb1_with_the_crystals_error() {
-    let mut rig = Rig::new(Part::Stm32f405);
-    let ready = Time::from_ms(10);
-    let pll = 1 << 22 | 160 << 6 | 4;
-    rig.write_all(&[(FLASH_ACR, 5), (RCC_PLLCFGR, pll), (RCC_CR, 0x0101_0083)]);
-    rig.at(ready).write_all(&[(RCC_CFGR, 4 << 13 | 5 << 10 | 2), (RCC_APB1ENR, 1)]);
-    assert_eq!(rig.clocks().timclk1, Clock { hz: 80_000_000, ppm: 20 });
-    set(&mut rig, TIM2, &[(PSC, 79), (EGR, 1), (CR1, 1)]);
-    assert_eq!(rig.at(ready + Time::from_s(1)).read(TIM2 + CNT), 1_000_020);
-    assert_eq!(rig.problems(), []);
-}
-
-#[test]
-fn a_timer_wraps_at_32_bits_or_at_its_auto_reload_value() {
-    let mut rig = counting(TIM2);
-    rig.write(TIM2 + CNT, 0xFFFF_FFFE);
-    let counts = [0, 1, 2, 3].map(|us| rig.at_us(us).read(TIM2 + CNT));
-    assert_eq!(counts, [0xFFFF_FFFE, 0xFFFF_FFFF, 0, 1]);
-    assert_eq!(rig.at_us(3).read(TIM2 + SR) & 1, 1);
-
-    let mut rig = counting(TIM5);
-    rig.write(TIM5 + ARR, 9);
-    assert_eq!(rig.at_us(9).read(TIM5 + SR) & 1, 0);
-    assert_eq!(rig.at_us(10).read(TIM5 + SR) & 1, 1);
-    assert_eq!(rig.at_us(25).read(TIM5 + CNT), 5);
-}
-
-#[test]
-fn a_compare_interrupts_at_its_count_until_the_flag_is_cleared() {
-    for (timer, irq) in [(TIM2, TIM2_IRQ), (TIM5, TIM5_IRQ)] {
-        let mut rig = counting(timer);
-        rig.write(timer + CCR1, 1_000);
-        assert_eq!(rig.next_event(), Time::MAX, "it does not interrupt");
-        rig.write(timer + DIER, 1 << 1);
-        let at = Time::from_ms(1);
-        assert_eq!(rig.next_event(), at);
-        rig.advance(Time::from_us(999));
-        assert_eq!(rig.irqs(), 0);
-        rig.advance(at);
-        assert_eq!(rig.irqs(), 1 << irq);
-        assert_eq!(rig.at(at).read(timer + SR), 1 << 1);
-        rig.at(at).write(timer + SR, !(1 << 1));
-        assert_eq!(rig.irqs(), 0);
-        assert_eq!(rig.problems(), []);
-    }
-}
-
-#[test]
-fn each_channel_has_its_own_compare_and_the_earliest_comes_first() {
-    let mut rig = counting(TIM2);
-    for channel in 0..4 {
-        rig.write(TIM2 + CCR1 + 4 * channel, 400 - 100 * channel);
-    }
-    set(&mut rig, TIM2, &[(SR, 0), (DIER, 0b11110)]);
-    assert_eq!(rig.next_event(), Time::from_us(100));
-    for (us, flags) in [(100, 0b10000), (200, 0b11000), (300, 0b11100), (400, 0b11110)] {
-        assert_eq!(rig.at_us(us).read(TIM2 + SR), flags);
-    }
-}
-
-#[test]
 fn a_compare_with_the_present_count_or_an_earlier_one_is_late_by_a_turn() {
     let mut rig = counting(TIM2);
     rig.write(TIM2 + DIER, 1 << 1);
@@ -121,22 +41,6 @@ fn a_compare_with_the_present_count_or_an_earlier_one_is_late_by_a_turn() {
     }
     rig.at_us(50).write(TIM2 + CCR1, 51);
     assert_eq!(rig.next_event(), Time::from_us(51));
-}
-
-#[test]
-fn a_stopped_timer_keeps_its_count_and_an_update_clears_it() {
-    let mut rig = counting(TIM2);
-    rig.at_us(70).write(TIM2 + CR1, 0);
-    assert_eq!(rig.at_us(90).read(TIM2 + CNT), 70);
-    rig.at_us(100).write(TIM2 + CR1, 1);
-    assert_eq!(rig.at_us(105).read(TIM2 + CNT), 75);
-    rig.at_us(110).write(TIM2 + EGR, 1);
-    assert_eq!(rig.at_us(111).read(TIM2 + CNT), 1);
-    assert_eq!(rig.at_us(111).read(TIM2 + SR) & 1, 1);
-    rig.at_us(120).reset_by_rcc(1);
-    let registers = [CR1, CNT, PSC, ARR, CCR4];
-    let values = registers.map(|register| rig.at_us(130).read(TIM2 + register));
-    assert_eq!(values, [0, 0, 0, u32::MAX, 0]);
 }
 
 #[test]
@@ -192,16 +96,6 @@ fn every_timer_interrupts_on_its_own_line() {
 }
 
 #[test]
-fn in_one_pulse_mode_a_timer_stops_at_its_overflow() {
-    let mut rig = counting(TIM2);
-    set(&mut rig, TIM2, &[(ARR, 99), (CR1, 1 << 3 | 1)]);
-    let after = Time::from_us(250);
-    let [cr1, count, flags] = [CR1, CNT, SR].map(|register| rig.at(after).read(TIM2 + register));
-    assert_eq!((cr1, count, flags & 1), (1 << 3, 0, 1));
-    assert_eq!(rig.problems(), []);
-}
-
-#[test]
 fn uses_of_a_timer_that_are_not_modelled_are_found() {
     const CCMR1: u32 = 0x18;
     const DMAR: u32 = 0x4C;
@@ -215,29 +109,4 @@ fn uses_of_a_timer_that_are_not_modelled_are_found() {
     let mut rig = counting(TIM2);
     rig.at_us(50).write(TIM2 + ARR, 20);
     assert!(matches!(rig.problems()[..], [Problem::Misuse(_)]));
-}
-
-/// RM0090 7.2.11: HSE/RTC, the crystal divided by RTCPRE, is an input of TIM11.
-#[test]
-fn tim11_captures_the_crystal_in_ticks_of_hsi() {
-    const TIM11: u32 = 0x4001_4800;
-    const OVERCAPTURE: u32 = 1 << 9;
-    for (hsi_ppm, ticks) in [(0, 992), (-80_000, 912), (45_000, 1_036)] {
-        let variant = ChipVariant { hsi_ppm, ..ChipVariant::default() };
-        let mut rig = Rig::with_variant(Part::Stm32f405, variant);
-        rig.write_all(&[(RCC_APB2ENR, 1 << 18), (RCC_CR, 0x1_0083), (RCC_CFGR, 31 << 16)]);
-        let start = Time::from_ms(5);
-        rig.at(start).write_all(&[(TIM11 + 0x50, 2), (TIM11 + 0x18, 0b1101)]);
-        rig.write_all(&[(TIM11 + 0x20, 1), (TIM11, 1)]);
-        let mut capture = |us| {
-            rig.at(start + Time::from_us(us));
-            (rig.read(TIM11 + 0x10), rig.read(TIM11 + 0x34))
-        };
-        // 31 us for eight periods.
-        let [first, second] = [40, 70].map(&mut capture);
-        assert_eq!((first.0 & 0x202, second.0 & 0x202), (2, 2));
-        assert!((second.1 - first.1).abs_diff(ticks / 2) <= 1, "{hsi_ppm}");
-        assert_eq!(capture(400).0 & OVERCAPTURE, OVERCAPTURE);
-        assert_eq!(rig.findings(), []);
-    }
 }

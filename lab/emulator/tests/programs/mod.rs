@@ -95,12 +95,6 @@ impl Program {
         self.set(R7, address).set(R6, mask).emit(&[0x6838, 0x4230, 0xD0FC])
     }
 
-    /// Sleeps forever if a word has a bit of `mask`.
-    pub fn sleep_forever_if_nonzero_after(&mut self, address: u32, mask: u32) -> &mut Self {
-        // LDR r0, [r7]; TST r0, r6; BEQ past the next two
-        self.set(R7, address).set(R6, mask).emit(&[0x6838, 0x4230, 0xD001]).sleep_forever()
-    }
-
     /// Executes WFI repeatedly.
     pub fn sleep_forever(&mut self) -> &mut Self {
         self.emit(&[0xBF30, 0xE7FD])
