@@ -28,8 +28,10 @@ use embassy_futures::{
     select::{Either, select, select_array},
 };
 use embassy_stm32::{
+    bind_interrupts,
     can::{
-        Can, CanRx, CanTx, Fifo, Frame as CanFrame, Mailbox, StandardId,
+        Can, CanRx, CanTx, Fifo, Frame as CanFrame, Mailbox, Rx0InterruptHandler,
+        Rx1InterruptHandler, SceInterruptHandler, StandardId, TxInterruptHandler,
         enums::{self, TryReadError},
         filter::{ListEntry16, Mask32},
         frame::Envelope,
@@ -40,6 +42,13 @@ use embassy_stm32::{
 };
 
 use crate::chip::CAN_HZ;
+
+bind_interrupts!(pub struct Interrupts {
+    CAN1_TX => TxInterruptHandler<peripherals::CAN1>;
+    CAN1_RX0 => Rx0InterruptHandler<peripherals::CAN1>;
+    CAN1_RX1 => Rx1InterruptHandler<peripherals::CAN1>;
+    CAN1_SCE => SceInterruptHandler<peripherals::CAN1>;
+});
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const MAILBOXES: [Mailbox; 3] = [Mailbox::Mailbox0, Mailbox::Mailbox1, Mailbox::Mailbox2];

@@ -24,9 +24,10 @@ use canopen_node::{
 };
 use embassy_futures::poll_once;
 use embassy_stm32::{
-    Peri,
+    Peri, bind_interrupts,
     can::{
-        Can, CanConfigurator, Frame as CanFrame, OperatingMode,
+        Can, CanConfigurator, Frame as CanFrame, IT0InterruptHandler, IT1InterruptHandler,
+        OperatingMode,
         config::{GlobalFilter, NominalBitTiming, NonMatchingFilter::Reject},
         filter::{Action, ExtendedFilter, FilterType, StandardFilter},
     },
@@ -40,7 +41,12 @@ use embassy_stm32::{
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_can::StandardId;
 
-use crate::chip::{CAN_HZ, Interrupts, Receive, Transmit};
+use crate::chip::{CAN_HZ, Receive, Transmit};
+
+bind_interrupts!(pub struct Interrupts {
+    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
+    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
+});
 
 const TIMINGS: [Option<BitTiming>; 10] = BitTiming::table(CAN_HZ);
 const BUFFERS: usize = 3;

@@ -2,26 +2,22 @@
 //! built.
 
 use embassy_stm32::{
-    Config, Peripherals, bind_interrupts,
-    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
+    Config, Peripherals,
+    can::Can,
     flash::{Bank1Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
     pac::{DBGMCU, RCC, rcc::vals::Pllsrc},
-    peripherals::CAN1,
     rcc::{self, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPreDiv, PllSource, Sysclk},
     time::Hertz,
 };
 
 pub use embassy_stm32::peripherals::IWDG as Watchdog;
 
-use crate::{Parts, bxcan::Bxcan, clock::Clock};
-
-bind_interrupts!(pub struct Interrupts {
-    CAN1_TX => TxInterruptHandler<CAN1>;
-    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
-    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
-    CAN1_SCE => SceInterruptHandler<CAN1>;
-});
+use crate::{
+    Parts,
+    bxcan::{Bxcan, Interrupts},
+    clock::Clock,
+};
 
 /// The clock of the CAN controller.
 pub const CAN_HZ: u32 = 36_000_000;

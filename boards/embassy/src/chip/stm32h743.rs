@@ -4,12 +4,11 @@ use core::arch::asm;
 
 use cortex_m::peripheral::SCB;
 use embassy_stm32::{
-    Config, Peripherals, bind_interrupts,
-    can::{IT0InterruptHandler, IT1InterruptHandler},
+    Config, Peripherals,
     flash::{self, Bank2Region, Blocking, Flash},
     gpio::{Level, Output, Speed},
     pac::{DBGMCU, RCC},
-    peripherals::{FDCAN1, PB8, PB9},
+    peripherals::{PB8, PB9},
     rcc::{
         self, AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource,
         Sysclk, mux,
@@ -21,18 +20,9 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
 pub use embassy_stm32::peripherals::IWDG1 as Watchdog;
 
-use crate::{
-    Parts,
-    clock::Clock,
-    fdcan::{Fdcan, Waker},
-};
+use crate::{Parts, clock::Clock, fdcan::Fdcan};
 
 type Region = Bank2Region<'static, Blocking>;
-
-bind_interrupts!(pub struct Interrupts {
-    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>, Waker;
-    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
-});
 
 /// The pins of the CAN controller.
 pub type Receive = PB8;

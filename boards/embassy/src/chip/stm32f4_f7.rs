@@ -1,12 +1,12 @@
-//! The board NUCLEO-F767ZI with the 8 MHz of its ST-LINK: clocks, pins, and the place of the settings. It is only built.
+//! The board STM32F407G-DISC1 with its crystal of 8 MHz, and NUCLEO-F767ZI with the 8 MHz of its ST-LINK, which is only
+//! built: clocks, pins, and the place of the settings.
 
 use embassy_stm32::{
-    Config, Peripherals, bind_interrupts,
-    can::{Can, Rx0InterruptHandler, Rx1InterruptHandler, SceInterruptHandler, TxInterruptHandler},
+    Config, Peripherals,
+    can::Can,
     flash::{Bank1Region1, Blocking, Flash},
     gpio::{Level, Output, Speed},
     pac::{DBGMCU, RCC},
-    peripherals::CAN1,
     rcc::{
         self, AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
         Sysclk,
@@ -16,26 +16,26 @@ use embassy_stm32::{
 
 pub use embassy_stm32::peripherals::IWDG as Watchdog;
 
-use crate::{Parts, bxcan::Bxcan, clock::Clock};
-
-bind_interrupts!(pub struct Interrupts {
-    CAN1_TX => TxInterruptHandler<CAN1>;
-    CAN1_RX0 => Rx0InterruptHandler<CAN1>;
-    CAN1_RX1 => Rx1InterruptHandler<CAN1>;
-    CAN1_SCE => SceInterruptHandler<CAN1>;
-});
+use crate::{
+    Parts,
+    bxcan::{Bxcan, Interrupts},
+    clock::Clock,
+};
 
 /// The clock of the CAN controller: 40 MHz makes all rates exactly.
 pub const CAN_HZ: u32 = 40_000_000;
 
-/// Sectors 1 and 2.
-pub const SETTINGS_OFFSET: u32 = 0x8000;
-pub const SETTINGS_LEN: u32 = 0x1_0000;
+const IS_F767: bool = cfg!(feature = "stm32f767");
 
-/// 160 MHz from a clock of 8 MHz, and 40 MHz for the peripherals.
+/// Sectors 1 and 2, each as long as sector 0.
+pub const SETTINGS_OFFSET: u32 = if IS_F767 { 0x8000 } else { 0x4000 };
+pub const SETTINGS_LEN: u32 = 2 * SETTINGS_OFFSET;
+
+/// 160 MHz from the 8 MHz, and 40 MHz for the peripherals.
 pub fn clocks() -> Config {
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Bypass });
+    let mode = if IS_F767 { HseMode::Bypass } else { HseMode::Oscillator };
+    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode });
     config.rcc.pll_src = PllSource::HSE;
     config.rcc.pll = Some(Pll {
         prediv: PllPreDiv::DIV4,
@@ -76,11 +76,15 @@ pub fn clear_double_error() -> bool {
 
 /// The peripherals that the node uses.
 pub fn parts(p: Peripherals) -> Parts<Bxcan, Bank1Region1<'static, Blocking>> {
+    #[cfg(feature = "stm32f407")]
+    let (receive, transmit, run, error) = (p.PB8, p.PB9, p.PD12, p.PD14);
+    #[cfg(feature = "stm32f767")]
+    let (receive, transmit, run, error) = (p.PD0, p.PD1, p.PB0, p.PB14);
     Parts {
-        can: Bxcan::new(Can::new(p.CAN1, p.PD0, p.PD1, Interrupts)),
+        can: Bxcan::new(Can::new(p.CAN1, receive, transmit, Interrupts)),
         flash: Flash::new_blocking(p.FLASH).into_blocking_regions().bank1_region1,
-        run: Output::new(p.PB0, Level::Low, Speed::Low),
-        error: Output::new(p.PB14, Level::Low, Speed::Low),
+        run: Output::new(run, Level::Low, Speed::Low),
+        error: Output::new(error, Level::Low, Speed::Low),
         clock: Clock::new(p.TIM2),
     }
 }
