@@ -33,7 +33,7 @@ pub const TIMING: Timing = Timing { answer: 100_000, store: 1_000_000, margin: 1
 enum State {
     /// On: all boards of the table are at their places.
     Complete = 0xFFFF,
-    /// Flickers: it has not asked yet, has just taken a board, or another master is at work.
+    /// Flickers: it has not asked yet, has just taken a board, asks again, or another master is at work.
     Waiting = 0x3333,
     /// One flash: a board of the table is missing.
     Missing = 0x0001,
@@ -58,6 +58,8 @@ pub struct Commissioner {
     pub network: Network,
     pub table: Table,
     pub master: Master,
+    /// The last round had a conflict.
+    pub has_conflict: bool,
 }
 
 impl Commissioner {
@@ -121,9 +123,12 @@ impl Commissioner {
         let new = found.filter(|found| self.table.boards().all(|(_, board)| board != *found));
         self.run(Request::SwitchToWaiting)?.ok();
         let is_missing = |(node, _)| answers[at(node)] == Answer::Nobody;
+        let is_confirmed = mem::replace(&mut self.has_conflict, has_conflict);
         Ok(match new {
             Some(new) if is_pressed => self.take(new, &answers)?,
-            _ if has_conflict => State::Conflict,
+            _ if has_conflict && is_confirmed => State::Conflict,
+            // It may be a board that has just lost its power, without a node-ID and so without a boot-up.
+            _ if has_conflict => State::Waiting,
             Some(_) => State::New,
             None if self.table.boards().any(is_missing) => State::Missing,
             None => State::Complete,

@@ -44,5 +44,6 @@ fn main() -> ! {
     let (alarm, watchdog, seen) = (board.alarm, board.watchdog, Seen::default());
     let mut network = Network { can, alarm, watchdog, button, led, seen };
     network.start();
-    Commissioner { network, table, master: Master::new(TIMING) }.commission()
+    let master = Master::new(TIMING);
+    Commissioner { network, table, master, has_conflict: false }.commission()
 }

@@ -190,6 +190,19 @@ fn a_board_without_its_node_id_has_it_again_after_seconds_in_every_state() {
 }
 
 #[test]
+fn a_board_that_loses_its_power_while_it_gets_its_node_id_is_no_conflict() {
+    for (request, times) in [(0x5E, 2), (0x11, 1)] {
+        let mut rig = Rig::with_table(table(&[1]), blanks(1..=1));
+        let is_request = |(_, sent): &&(Time, [u8; 8])| sent[0] == request;
+        while rig.requests.iter().filter(is_request).count() < times {
+            rig.run_for(Time::from_us(100));
+        }
+        rig.cut_power_of(0, Time::from_ms(20));
+        assert_eq!((rig.settle(), rig.node_ids()), (State::Complete, vec![Some(1)]));
+    }
+}
+
+#[test]
 fn a_boot_up_makes_it_ask_within_two_seconds() {
     let mut rig = with_others([with_node_id(address(2, 4), 40)]);
     rig.take_requests();
