@@ -2,6 +2,7 @@
 //! frames in words, electronic data sheets, drawings, and questions to the person.
 
 pub mod adapter;
+pub mod address;
 #[cfg(feature = "adapters")]
 pub mod bus;
 pub mod date;

@@ -15,6 +15,7 @@ use ::conformance::{
     ms,
 };
 use anyhow::{Context, bail, ensure};
+use can_bus::address::number;
 use canopen_node::{
     BitRate, NodeId,
     lss::{Address, REQUEST_COB_ID, RESPONSE_COB_ID},
@@ -74,14 +75,6 @@ pub struct Identity {
     pub without: Vec<Feature>,
 }
 
-/// A number in decimal, or in hexadecimal with 0x.
-fn number(text: &str) -> Result<u32, std::num::ParseIntError> {
-    match text.strip_prefix("0x") {
-        Some(digits) => u32::from_str_radix(digits, 16),
-        None => text.parse(),
-    }
-}
-
 /// What is tested, and how.
 pub struct Test<'a> {
     pub adapter: &'a Place,
@@ -132,16 +125,7 @@ pub fn run(test: &Test) -> anyhow::Result<bool> {
     println!("node {}", bench.node);
     let product = match test.subject {
         Subject::Lss => {
-            let part = |address: &Address| {
-                format!(
-                    "{:08X}:{:08X}:{:08X}:{:08X}",
-                    address.vendor_id,
-                    address.product_code,
-                    address.revision_number,
-                    address.serial_number
-                )
-            };
-            let devices: Vec<_> = bench.lss.devices.iter().map(part).collect();
+            let devices: Vec<_> = bench.lss.devices.iter().map(Address::to_string).collect();
             format!("LSS address {}", devices.join(", "))
         }
         Subject::ApplicationLayer(path) => format!("node {}, by {}", bench.node, path.display()),

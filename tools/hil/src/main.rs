@@ -22,7 +22,7 @@ use std::{
 use anyhow::{Context, ensure};
 use clap::{Parser, builder::PossibleValuesParser};
 
-use can_bus::{adapter, bus, person, sdo, stop};
+use can_bus::{adapter, address, bus, person, sdo, stop};
 use canopen_node::{BitRate, NodeId};
 
 use adapter::Place;
@@ -79,7 +79,7 @@ struct Arguments {
     #[command(flatten)]
     identity: Identity,
     /// The node-ID of that device, if there are others on the bus; without it all nodes are reset
-    #[arg(long, value_name = "ID", value_parser = node_id, requires = "conformance")]
+    #[arg(long, value_name = "ID", value_parser = address::node_id, requires = "conformance")]
     node: Option<NodeId>,
     /// The bit rate of that device in kbit/s
     #[arg(long, value_name = "KBIT", value_parser = adapter::bit_rate, default_value = "125", requires = "conformance")]
@@ -87,10 +87,6 @@ struct Arguments {
     /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
     #[arg(long, value_name = "NUMBER", requires = "conformance")]
     case: Vec<String>,
-}
-
-fn node_id(text: &str) -> Result<NodeId, String> {
-    text.parse().ok().and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]

@@ -2,6 +2,7 @@
 
 use std::{fmt::Display, ops::RangeInclusive};
 
+pub use can_bus::address::{node_id, number};
 use canopen_node::{
     NodeId,
     lss::{Address, AddressPart, Request},
@@ -58,15 +59,6 @@ pub fn address(text: &str) -> Result<Address, String> {
         .ok_or_else(|| "vendor-ID:product code:revision:serial number, in hexadecimal".into())
 }
 
-/// A number in decimal, or in hexadecimal after `0x`.
-pub fn number(text: &str) -> Result<u32, String> {
-    let parsed = match text.strip_prefix("0x").or(text.strip_prefix("0X")) {
-        Some(digits) => u32::from_str_radix(digits, 16),
-        None => text.parse(),
-    };
-    parsed.map_err(|_| "a number of 32 bits, such as 1276 or 0x4FC".into())
-}
-
 /// `FIRST..LAST`, or a single number.
 pub fn range(text: &str) -> Result<RangeInclusive<u32>, String> {
     let (first, last) = text.split_once("..").unwrap_or((text, text));
@@ -80,12 +72,6 @@ pub fn range(text: &str) -> Result<RangeInclusive<u32>, String> {
 /// A byte in hexadecimal.
 pub fn byte(text: &str) -> Result<u8, String> {
     u8::from_str_radix(text, 16).map_err(|_| "a byte in hexadecimal, such as 5E".into())
-}
-
-/// A node-ID.
-pub fn node_id(text: &str) -> Result<NodeId, String> {
-    let id = number(text).ok().and_then(|id| id.try_into().ok());
-    id.and_then(NodeId::new).ok_or_else(|| "1 to 127".into())
 }
 
 /// A board that is named by its node-ID or by its LSS address.
