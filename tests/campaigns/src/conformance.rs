@@ -9,7 +9,6 @@ use std::{
 use ::conformance::{
     APPLICATION_LAYER, Bench, Group, Lab, Line, OWN, Report,
     eds::Eds,
-    index,
     lss::{Feature, LSS, Target},
 };
 use anyhow::{Context, ensure};
@@ -64,9 +63,6 @@ const QUICK: [&str; 10] = [
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Write the index of cases into docs/conformance.md, and run nothing
-    #[arg(long)]
-    index: bool,
     /// Run only this image: default or io; can be repeated
     #[arg(long, value_name = "NAME")]
     image: Vec<ImageName>,
@@ -181,10 +177,6 @@ struct Product {
 
 /// Runs the cases, prints their outcomes, and writes the reports. Fails if a case failed.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if arguments.index {
-        let (_, page) = index::pages(workspace()).context("cannot read the sources")?;
-        return Ok(fs::write(workspace().join(index::PAGE), page)?);
-    }
     let begin = Instant::now();
     let mut reports = Vec::new();
     let wanted = wanted(arguments);

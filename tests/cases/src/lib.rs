@@ -42,7 +42,6 @@ mod dictionary;
 mod emergency;
 mod guarding;
 mod heartbeat;
-pub mod index;
 mod line;
 pub mod lss;
 mod other;
