@@ -57,7 +57,7 @@ pub use can_bus::eds;
 pub use bench::{Address, Bench, Command, Seen, Stop, ms};
 pub use line::{Lab, Line};
 pub use own::OWN;
-pub use report::{Finding, Outcome, Report, html, junit};
+pub use report::{Finding, Outcome, Report, head_table, html, junit, page};
 
 /// What a step of a case gives, or the reason why the case ends here.
 pub type Step<T = ()> = Result<T, Stop>;

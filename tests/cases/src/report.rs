@@ -2,6 +2,7 @@
 
 use std::{fmt::Write as _, time::Duration};
 
+use can_bus::svg::escape;
 use canopen_node::Frame;
 
 use crate::{
@@ -122,37 +123,41 @@ impl Report {
     }
 }
 
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:70em;margin:2em auto;padding:0 1em;color:#222}\
     table{border-collapse:collapse;width:100%}td,th{padding:.25em .6em;border-bottom:1px solid #ddd;text-align:left;\
-    vertical-align:top}td:first-child{white-space:nowrap}.failed{background:#fde8e8}.skipped{color:#777}\
-    .remark{color:#555;font-size:.92em}pre{background:#f5f5f5;color:#222;padding:.8em;margin:.4em 0;overflow-x:auto}\
-    summary{cursor:pointer}";
+    vertical-align:top}.failed{background:#fde8e8}.skipped{color:#777}.remark{color:#555;font-size:.92em}\
+    pre{background:#f5f5f5;color:#222;padding:.8em;margin:.4em 0;overflow-x:auto;white-space:pre-wrap}\
+    summary{cursor:pointer}svg{display:block;margin:.5em 0 1.5em}svg text{font:12px system-ui,sans-serif;fill:#333}";
+
+/// A page of HTML with this title, which is its heading too, and this content.
+pub fn page(title: &str, content: &str) -> String {
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>{title}</title>\
+         <style>{STYLE}</style>\n<h1>{title}</h1>\n{content}</html>\n"
+    )
+}
+
+/// A table of what a reader has to know to repeat a run: names and values.
+pub fn head_table<'a>(lines: impl IntoIterator<Item = (&'a str, &'a str)>) -> String {
+    let rows = lines.into_iter();
+    let rows = rows.map(|(name, value)| format!("<tr><th>{name}<td>{}</tr>\n", escape(value)));
+    format!("<table>\n{}</table>\n", rows.collect::<String>())
+}
 
 /// One page with all findings of these reports; a click on a case shows its frames.
 pub fn html(reports: &[Report]) -> String {
-    let mut page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>Conformance</title>\
-         <style>{STYLE}</style>\n<h1>Conformance</h1>\n"
-    );
+    let mut content = String::new();
     for report in reports {
-        let (device, counts) = (escape(&report.device), report.counts());
-        let head = report.head.iter();
-        let head = head.map(|(name, value)| format!("<tr><th>{name}<td>{}</tr>\n", escape(value)));
-        page += &format!(
-            "<h2>{device}</h2>\n<table>\n{}</table>\n<p>{counts}. A click on a case shows its frames.\n<table>\n\
-             <tr><th>case<th>outcome<th>time<th>purpose</tr>\n",
-            head.collect::<String>()
+        let head = head_table(report.head.iter().map(|(name, value)| (*name, &**value)));
+        content += &format!(
+            "<h2>{}</h2>\n{head}<p>{}. A click on a case shows its frames.\n<table>\n\
+             <tr><th>case<th>outcome<th>time<th>purpose</tr>\n{}</table>\n",
+            escape(&report.device),
+            report.counts(),
+            report.findings.iter().map(row).collect::<String>()
         );
-        for finding in &report.findings {
-            page += &row(finding);
-        }
-        page += "</table>\n";
     }
-    page + "</html>\n"
+    page("Conformance", &content)
 }
 
 fn row(finding: &Finding) -> String {

@@ -26,64 +26,43 @@ pub struct Session {
 
 /// All sessions but the first, which finds the boards.
 pub const ALL: [Session; 12] = [
-    Session {
-        name: "services",
-        title: "LSS services",
-        rule: "CiA 305, configure node-ID",
-        run: services::run,
-    },
-    Session {
-        name: "answers",
-        title: "answer times",
-        rule: "CiA 305, inquire node-ID",
-        run: timing::answers,
-    },
-    Session {
-        name: "bursts",
-        title: "requests without a pause",
-        rule: "CiA 305, inquire identity",
-        run: timing::bursts,
-    },
-    Session { name: "sdo", title: "SDO", rule: "CiA 301, 7.2.4", run: node::sdo },
-    Session { name: "nmt", title: "NMT and heartbeat", rule: "CiA 301, 7.3.2", run: node::nmt },
-    Session { name: "fastscan", title: "Fastscan", rule: "CiA 305, Fastscan", run: fastscan::run },
-    Session {
-        name: "activate",
-        title: "bit rates by activation",
-        rule: "CiA 305, activate bit timing parameters",
-        run: rates::by_activation,
-    },
-    Session {
-        name: "switch",
-        title: "timing of a switch",
-        rule: "CiA 305, activate bit timing parameters",
-        run: switch::run,
-    },
-    Session {
-        name: "store",
-        title: "bit rates by store and reset",
-        rule: "CiA 305, store configuration",
-        run: rates::by_store,
-    },
-    Session {
-        name: "detect",
-        title: "detection of the bit rate",
-        rule: "CiA 305, configure bit timing parameters",
-        run: search::detection,
-    },
-    Session {
-        name: "rescue",
-        title: "rescue",
-        rule: "docs/reference.md, supervision",
-        run: search::rescue,
-    },
-    Session {
-        name: "hands",
-        title: "power cut and short circuit",
-        rule: "CiA 305, store configuration",
-        run: hands::run,
-    },
+    session("services", "LSS services", "CiA 305, configure node-ID", services::run),
+    session("answers", "answer times", "CiA 305, inquire node-ID", timing::answers),
+    session("bursts", "requests without a pause", "CiA 305, inquire identity", timing::bursts),
+    session("sdo", "SDO", "CiA 301, 7.2.4", node::sdo),
+    session("nmt", "NMT and heartbeat", "CiA 301, 7.3.2", node::nmt),
+    session("fastscan", "Fastscan", "CiA 305, Fastscan", fastscan::run),
+    session(
+        "activate",
+        "bit rates by activation",
+        "CiA 305, activate bit timing parameters",
+        rates::by_activation,
+    ),
+    session("switch", "timing of a switch", "CiA 305, activate bit timing parameters", switch::run),
+    session(
+        "store",
+        "bit rates by store and reset",
+        "CiA 305, store configuration",
+        rates::by_store,
+    ),
+    session(
+        "detect",
+        "detection of the bit rate",
+        "CiA 305, configure bit timing parameters",
+        search::detection,
+    ),
+    session("rescue", "rescue", "docs/reference.md, supervision", search::rescue),
+    session("hands", "power cut and short circuit", "CiA 305, store configuration", hands::run),
 ];
+
+const fn session(
+    name: &'static str,
+    title: &'static str,
+    rule: &'static str,
+    run: fn(&mut Bench) -> Result<(), Stop>,
+) -> Session {
+    Session { name, title, rule, run }
+}
 
 /// Finds the boards, then runs the sessions with these names; all of them if there is no name.
 pub fn run(bench: &mut Bench, names: &[String]) -> Result<(), Stop> {

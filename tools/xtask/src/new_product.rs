@@ -96,30 +96,8 @@ fn quietly(command: &mut Command, folder: &Path) -> bool {
 }
 
 /// Names that the product cannot have: of crates and modules in its program, and of the test harness.
-const TAKEN: [&str; 22] = [
-    "alloc",
-    "app",
-    "bxcan",
-    "canopen-stm32f4",
-    "chip-build",
-    "core",
-    "cortex-m",
-    "cortex-m-rt",
-    "defmt",
-    "defmt-rtt",
-    "embedded-storage",
-    "emulator",
-    "flash",
-    "fugit",
-    "canopen-node",
-    "lss-slave",
-    "panic-probe",
-    "rtic",
-    "std",
-    "stm32f4xx-hal",
-    "test",
-    "testkit",
-];
+const TAKEN: &str = "alloc app bxcan canopen-stm32f4 chip-build core cortex-m cortex-m-rt defmt defmt-rtt embedded-storage emulator flash \
+    fugit canopen-node lss-slave panic-probe rtic std stm32f4xx-hal test testkit";
 
 /// A URL of git that cargo takes, and that needs no escape in a manifest.
 fn git_url(text: &str) -> Result<String, &'static str> {
@@ -145,7 +123,8 @@ fn check_name(name: &str) -> anyhow::Result<()> {
          letters, digits and hyphens, as in `door-lock`"
     );
     ensure!(
-        !TAKEN.contains(&name) && syn::parse_str::<syn::Ident>(&name.replace('-', "_")).is_ok(),
+        !TAKEN.split(' ').any(|taken| taken == name)
+            && syn::parse_str::<syn::Ident>(&name.replace('-', "_")).is_ok(),
         "`{name}` cannot be the name of a product, because Rust or something in its program has that name"
     );
     Ok(())

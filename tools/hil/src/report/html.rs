@@ -1,13 +1,9 @@
 //! The report as one HTML page, with the answer times and the switches of the bit rate drawn as SVG.
 
+use ::conformance::{head_table, page};
 use can_bus::svg::{bar, escape, label};
 
 use super::{Answer, Outcome, Report, Switch, text};
-
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}\
-    table{border-collapse:collapse;width:100%}td,th{padding:.2em .6em;border-bottom:1px solid #ddd;text-align:left;\
-    vertical-align:top}.failed{background:#fde8e8}.not{color:#777}pre{background:#f5f5f5;padding:1em;white-space:\
-    pre-wrap}svg{display:block;margin:.5em 0 1.5em}svg text{font:12px system-ui,sans-serif;fill:#333}";
 
 /// The width of a drawing, and of the margins of its plot.
 const WIDTH: f64 = 720.0;
@@ -21,7 +17,7 @@ pub fn whole(report: &Report) -> String {
         let class = match check.outcome {
             Outcome::Passed => "",
             Outcome::Failed => "failed",
-            Outcome::NotTried => "not",
+            Outcome::NotTried => "skipped",
         };
         let outcome = text::outcome(check);
         let expected = check.expected.as_deref().unwrap_or_default();
@@ -31,18 +27,16 @@ pub fn whole(report: &Report) -> String {
     }
     let lines = report.bench.iter().chain(&report.boards);
     let bench: String = lines.map(|line| format!("<li>{}</li>\n", escape(line))).collect();
-    let head = report
-        .head
-        .lines()
-        .map(|(name, value)| format!("<tr><th>{name}</th><td>{}</td></tr>\n", escape(value)));
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>cargo hil</title><style>{STYLE}</style>\n\
-         <h1>cargo hil</h1>\n<table>{}</table>\n<ul>\n{bench}</ul>\n<pre>{}</pre>\n{}{}\
-         <h2>All checks</h2>\n<table><tr><th>session<th>check<th>outcome<th>expected<th>seen<th>rule</tr>\n{rows}</table>\n</html>\n",
-        head.concat(),
-        escape(text::summary(report).trim()),
-        histograms(&report.answers),
-        switches(&report.switches)
+    page(
+        "cargo hil",
+        &format!(
+            "{}<ul>\n{bench}</ul>\n<pre>{}</pre>\n{}{}<h2>All checks</h2>\n<table>\
+             <tr><th>session<th>check<th>outcome<th>expected<th>seen<th>rule</tr>\n{rows}</table>\n",
+            head_table(report.head.lines()),
+            escape(text::summary(report).trim()),
+            histograms(&report.answers),
+            switches(&report.switches)
+        ),
     )
 }
 
