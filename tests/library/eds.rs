@@ -138,80 +138,32 @@ fn the_objects_of_pdos_have_their_names_and_limits() {
     }
 }
 
+/// Sections, each with its keys in their order.
+const KINDS: &str = "
+1018sub1: AccessType=const DataType=0x0007 DefaultValue=0x11223344 ObjectType=0x7 PDOMapping=0 ParameterName=Vendor-ID
+2100: ObjectType=0x9 ParameterName=Signed numbers SubNumber=5
+2100sub0: AccessType=const DataType=0x0005 DefaultValue=11 ObjectType=0x7 PDOMapping=0 ParameterName=Highest sub-index supported
+2100sub1: AccessType=rw DataType=0x0002 DefaultValue=-8 HighLimit=10 LowLimit=-10 ObjectType=0x7 PDOMapping=0 ParameterName=8 bits
+2100sub2: AccessType=rw DataType=0x0003 DefaultValue=-300 ObjectType=0x7 PDOMapping=1 ParameterName=16 bits
+2100subB: AccessType=rw DataType=0x0015 DefaultValue=-9223372036854775808 ObjectType=0x7 PDOMapping=1 ParameterName=64 bits
+2101sub3: AccessType=ro DataType=0x0007 ObjectType=0x7 PDOMapping=1 ParameterName=32 bits
+2102sub1: AccessType=rw DataType=0x0010 DefaultValue=-2 HighLimit=8388606 LowLimit=-8388608 ObjectType=0x7 PDOMapping=1 ParameterName=24 bits
+2103sub1: AccessType=rwr DataType=0x0016 DefaultValue=1193046 ObjectType=0x7 PDOMapping=1 ParameterName=24 bits
+2103sub4: AccessType=rww DataType=0x001A DefaultValue=72057594037927935 HighLimit=72057594037927935 LowLimit=1 ObjectType=0x7 PDOMapping=1 ParameterName=56 bits
+2104: ObjectType=0x8 ParameterName=Percentages SubNumber=3
+5FFF: AccessType=rw DataType=0x001B DefaultValue=18446744073709551615 HighLimit=18446744073709551615 LowLimit=1 ObjectType=0x7 PDOMapping=0 ParameterName=Large number
+6000: AccessType=rw DataType=0x0008 ObjectType=0x7 PDOMapping=1 ParameterName=Real number
+6001: AccessType=wo DataType=0x0006 ObjectType=0x7 PDOMapping=0 ParameterName=Command
+6003: AccessType=const DataType=0x0009 DefaultValue=A | B ObjectType=0x7 PDOMapping=0 ParameterName=Label
+6004: AccessType=rw DataType=0x000A DefaultValue=00AB ObjectType=0x7 PDOMapping=0 ParameterName=Octets
+9FFF: AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Domain
+";
+
 #[test]
 fn each_kind_of_value_is_described_as_cia_306_says() {
     let sections = parse(&kinds());
-    for (name, expected) in [
-        (
-            "1018sub1",
-            "AccessType=const DataType=0x0007 DefaultValue=0x11223344 ObjectType=0x7 PDOMapping=0 \
-             ParameterName=Vendor-ID",
-        ),
-        ("2100", "ObjectType=0x9 ParameterName=Signed numbers SubNumber=5"),
-        (
-            "2100sub0",
-            "AccessType=const DataType=0x0005 DefaultValue=11 ObjectType=0x7 PDOMapping=0 \
-             ParameterName=Highest sub-index supported",
-        ),
-        (
-            "2100sub1",
-            "AccessType=rw DataType=0x0002 DefaultValue=-8 HighLimit=10 LowLimit=-10 \
-             ObjectType=0x7 PDOMapping=0 ParameterName=8 bits",
-        ),
-        (
-            "2100sub2",
-            "AccessType=rw DataType=0x0003 DefaultValue=-300 ObjectType=0x7 PDOMapping=1 \
-             ParameterName=16 bits",
-        ),
-        (
-            "2100subB",
-            "AccessType=rw DataType=0x0015 DefaultValue=-9223372036854775808 ObjectType=0x7 \
-             PDOMapping=1 ParameterName=64 bits",
-        ),
-        (
-            "2101sub3",
-            "AccessType=ro DataType=0x0007 ObjectType=0x7 PDOMapping=1 ParameterName=32 bits",
-        ),
-        (
-            "2102sub1",
-            "AccessType=rw DataType=0x0010 DefaultValue=-2 HighLimit=8388606 LowLimit=-8388608 \
-             ObjectType=0x7 PDOMapping=1 ParameterName=24 bits",
-        ),
-        (
-            "2103sub1",
-            "AccessType=rwr DataType=0x0016 DefaultValue=1193046 ObjectType=0x7 PDOMapping=1 \
-             ParameterName=24 bits",
-        ),
-        (
-            "2103sub4",
-            "AccessType=rww DataType=0x001A DefaultValue=72057594037927935 \
-             HighLimit=72057594037927935 LowLimit=1 ObjectType=0x7 PDOMapping=1 \
-             ParameterName=56 bits",
-        ),
-        ("2104", "ObjectType=0x8 ParameterName=Percentages SubNumber=3"),
-        (
-            "5FFF",
-            "AccessType=rw DataType=0x001B DefaultValue=18446744073709551615 \
-             HighLimit=18446744073709551615 LowLimit=1 ObjectType=0x7 PDOMapping=0 \
-             ParameterName=Large number",
-        ),
-        (
-            "6000",
-            "AccessType=rw DataType=0x0008 ObjectType=0x7 PDOMapping=1 ParameterName=Real number",
-        ),
-        ("6001", "AccessType=wo DataType=0x0006 ObjectType=0x7 PDOMapping=0 ParameterName=Command"),
-        (
-            "6003",
-            "AccessType=const DataType=0x0009 DefaultValue=A | B ObjectType=0x7 PDOMapping=0 \
-             ParameterName=Label",
-        ),
-        (
-            "6004",
-            "AccessType=rw DataType=0x000A DefaultValue=00AB ObjectType=0x7 PDOMapping=0 \
-             ParameterName=Octets",
-        ),
-        ("9FFF", "AccessType=ro DataType=0x000F ObjectType=0x2 ParameterName=Domain"),
-    ] {
+    for line in KINDS.trim().lines() {
+        let (name, expected) = line.split_once(": ").expect("a section and its keys");
         assert_eq!(section(&sections, name), expected, "[{name}]");
     }
     assert_eq!(sections["2001"]["DefaultValue"], "1");
