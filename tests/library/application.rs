@@ -185,15 +185,6 @@ fn the_application_refuses_a_value_by_its_own_reason() {
 }
 
 #[test]
-fn the_access_of_an_object_is_respected() {
-    let mut board = board();
-    assert_eq!(board.download(0x2101, 3, &[1, 0, 0, 0]), Err(0x0601_0002));
-    assert_eq!(board.upload(0x6001, 0), Err(0x0601_0001));
-    assert_eq!(board.download(0x6001, 0, &[0x34, 0x12]), Ok(()));
-    assert_eq!(board.node.application().command, 0x1234);
-}
-
-#[test]
 fn each_object_has_a_description() {
     let of = |index, sub_index| {
         let is_it = |(entry, _): &(Entry, _)| (entry.index, entry.sub_index) == (index, sub_index);

@@ -7,13 +7,11 @@ use canopen_node::{
     nmt::State,
 };
 use testkit::{
-    flash::BoardFlash,
     frames::{Frames, SILENCE},
-    node_rig::{ADDRESS, NodeRig, defaults, device},
     sdo::Client,
 };
 
-use crate::process_data::{Board, Machine, board, receive, set, take_events};
+use crate::process_data::{Board, board, receive, set, take_events};
 
 const NO_ERROR: &str = "0C0: 00 00 00 00 00 00 00 00";
 
@@ -144,39 +142,12 @@ fn an_error_that_ends_before_its_message_leaves_is_reported_and_ended() {
 }
 
 #[test]
-fn errors_of_the_application_wait_in_nmt_stopped_and_while_errors_rule() {
-    let mut board = board();
-    board.nmt("02 40");
-    assert_eq!(report(&mut board, 0x4310, 0, [0; 5]), SILENCE);
-    assert_eq!(board.nmt("80 40"), ["0C0: 10 43 01 00 00 00 00 00"]);
-    board.see(BusEvent::ErrorCounters { transmit: 0, receive: 128 });
-    assert_eq!(report(&mut board, 0x4311, 0, [0; 5]), SILENCE);
-    let frames = board.see(BusEvent::ErrorCounters { transmit: 0, receive: 0 });
-    assert_eq!(frames.0[0].data()[..2], [0x11, 0x43]);
-}
-
-#[test]
 fn an_error_that_has_ended_makes_room_for_another() {
     let mut board = board();
     for code in 0x5001..=0x5020 {
         assert_eq!(report(&mut board, code, 0, [0; 5]).0[0].data()[0], code as u8);
         assert_eq!(end(&mut board, code), [NO_ERROR]);
     }
-}
-
-#[test]
-fn a_message_that_was_dropped_is_sent_again_an_acknowledged_one_not() {
-    let device = device(ADDRESS).with_defaults(defaults(0x40)).with_rescue(true);
-    let mut board: Board =
-        NodeRig::with_application(device, BoardFlash::blank(0), 0, Machine::new());
-    report(&mut board, 0x4310, 0, [0; 5]);
-    // At a new rate, where a frame that nobody acknowledges is dropped for a while.
-    board.configure("13 00 02, 15 00 00");
-    board.is_acknowledged = false;
-    assert_eq!(report(&mut board, 0x4311, 0, [0; 5]), ["0C0: 11 43 01 00 00 00 00 00"]);
-    board.pass_ms(100);
-    board.is_acknowledged = true;
-    assert_eq!(board.pass_ms(1_000), ["0C0: 11 43 01 00 00 00 00 00"]);
 }
 
 #[test]

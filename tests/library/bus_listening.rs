@@ -40,15 +40,6 @@ fn listening() -> NodeRig {
 }
 
 #[test]
-fn index_9_is_accepted_only_by_a_device_that_offers_it() {
-    let mut board = fixed();
-    assert_eq!(board.configure("13 00 09"), ["13 00"]);
-    assert_eq!(board.lss("13 01 09"), ["13 01"], "another table");
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.configure("13 00 09"), ["13 01"]);
-}
-
-#[test]
 fn automatic_detection_is_kept_by_17_and_begins_at_the_next_power_on() {
     let mut board = fixed();
     board.configure("13 00 09");

@@ -235,18 +235,6 @@ fn a_node_that_only_listens_is_not_error_passive() {
 }
 
 #[test]
-fn another_bit_rate_than_the_home_rate_is_ff10_with_both_in_kbit_per_s() {
-    let mut board = NodeRig::with_node_id(0x40);
-    let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit500, home: BitRate::Kbit125 };
-    assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 F4 01 7D 00 00"]);
-    assert_eq!(board.number(0x1001, 0), 0x11);
-    assert_eq!(board.number(0x1003, 1), 0x01F4_FF10);
-    assert_eq!(board.see(BusEvent::Overrun), [OVERRUN], "its own bytes only");
-    let away = Fault::AwayFromHomeRate { in_use: BitRate::Kbit10, home: BitRate::Kbit1000 };
-    assert_eq!(report(&mut board, away), ["0C0: 10 FF 11 0A 00 E8 03 00"], "each change");
-}
-
-#[test]
 fn the_end_of_a_rescue_while_another_error_lasts_leaves_no_bytes_behind() {
     let mut board = NodeRig::with_node_id(0x40);
     report(&mut board, Fault::SettingsLost);

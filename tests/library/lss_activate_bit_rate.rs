@@ -2,9 +2,8 @@
 
 use canopen_node::{BitRate, nmt::State};
 use testkit::{
-    flash::BoardFlash,
     frames::{self, SILENCE},
-    node_rig::{ADDRESS, NodeRig, defaults, device},
+    node_rig::NodeRig,
 };
 
 /// A board in LSS configuration state that has just answered `13 00 02` (500 kbit/s), with an empty timeline.
@@ -16,25 +15,6 @@ fn in_configuration(mut board: NodeRig) -> NodeRig {
     assert_eq!(board.configure("13 00 02"), ["13 00"]);
     board.timeline();
     board
-}
-
-#[test]
-fn activation_is_silent_switches_after_one_delay_and_sends_after_two() {
-    for (request, switch_ms) in [("15 64 00", 100), ("15 01 02", 513), ("15 FF FF", 65_535)] {
-        // Also where the clock wraps in one of the delays.
-        for before_wrap_us in [0, 1, 1_000 * switch_ms, 1_000 * switch_ms + 1, 2_000 * switch_ms] {
-            let clock_at_start = 0u32.wrapping_sub(before_wrap_us);
-            let device = device(ADDRESS).with_defaults(defaults(0x40)).with_heartbeat_ms(1_000);
-            let board = NodeRig::with_device(device, BoardFlash::blank(0), clock_at_start);
-            let mut board = in_configuration(board);
-            assert_eq!(board.lss(request), SILENCE);
-            assert_eq!(board.pass_us(u64::from(2_000 * switch_ms - 1)), SILENCE);
-            assert_eq!(board.pass_us(1), ["740: 7F"]);
-            let switch = format!("{switch_ms} ms 500 kbit/s");
-            let heartbeat = format!("{} ms 740: 7F", 2 * switch_ms);
-            assert_eq!(board.timeline(), ["0 ms drop all", &switch, &heartbeat]);
-        }
-    }
 }
 
 #[test]
@@ -68,20 +48,6 @@ fn a_node_without_a_node_id_stays_silent_after_an_activation() {
     assert_eq!(board.bit_rate(), BitRate::Kbit500);
     assert_eq!(board.node.nmt_state(), State::Initialisation);
     assert_eq!(board.lss("5E"), ["5E FF"]);
-}
-
-#[test]
-fn an_activation_that_changes_nothing_keeps_both_silent_periods() {
-    let mut board = NodeRig::with_heartbeat(0x40, 50);
-    board.configure("15 64 00");
-    assert_eq!(board.pass_us(199_999), SILENCE, "without a 13 before");
-    assert_eq!(board.pass_us(1), ["740: 7F"]);
-    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
-    board.lss("13 00 00");
-    board.lss("15 64 00");
-    assert_eq!(board.pass_us(199_999), SILENCE, "with the active rate");
-    assert_eq!(board.pass_us(1), ["740: 7F"]);
-    assert_eq!(board.bit_rate(), BitRate::Kbit1000);
 }
 
 #[test]

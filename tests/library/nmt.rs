@@ -54,31 +54,6 @@ fn a_store_that_ends_in_stopped_is_not_answered_by_sdo_but_by_lss() {
     assert_eq!(board.nmt("80 00"), SILENCE);
 }
 
-#[test]
-fn initialisation_obeys_no_command_but_the_resets_to_all() {
-    let mut board = NodeRig::with_heartbeat(0xFF, 100);
-    assert_eq!(board.pass_ms(1000), SILENCE);
-    board.timeline();
-    for command in ["01", "02", "80"] {
-        for addressee in ["00", "40", "7F", "FF"] {
-            assert_eq!(board.nmt(&format!("{command} {addressee}")), SILENCE);
-            assert_eq!(board.node.nmt_state(), State::Initialisation);
-        }
-    }
-    for addressee in 1..=0xFF {
-        board.nmt(&format!("81 {addressee:02X}"));
-        board.nmt(&format!("82 {addressee:02X}"));
-    }
-    assert_eq!(board.timeline(), SILENCE);
-    board.nmt("82 00");
-    assert_eq!(board.timeline(), ["0 ms node-ID FF"]);
-    board.nmt("81 00");
-    assert_eq!(board.timeline(), ["0 ms reset"]);
-    assert_eq!(board.node.nmt_state(), State::Initialisation);
-    assert_eq!(board.pass_ms(1000), SILENCE);
-    assert_eq!(board.lss("4C"), ["50"]);
-}
-
 /// The NMT state after a bus-off, with this error behaviour; `None`: the default.
 fn after_bus_off(command: &str, error_behaviour: Option<u8>) -> State {
     let mut board = NodeRig::with_heartbeat(0x40, 100);

@@ -5,13 +5,12 @@ use std::panic;
 use canopen_node::{
     BusEvent,
     application::{self, Dictionary},
-    object_dictionary::{DataType, Entry, TABLE},
+    object_dictionary::{DataType, Entry},
 };
 use testkit::{node_rig::NodeRig, sdo::Client};
 
 use crate::process_data::Machine;
 
-const DOES_NOT_EXIST: u32 = 0x0602_0000;
 const NO_SUB_INDEX: u32 = 0x0609_0011;
 const NO_DATA: u32 = 0x0800_0024;
 
@@ -58,48 +57,6 @@ fn the_error_history_holds_the_last_eight_errors_the_newest_first() {
             assert_eq!(board.upload(0x1003, sub_index), Err(NO_DATA), "{faults}, {sub_index}");
         }
         assert_eq!(board.upload(0x1003, 9), Err(NO_SUB_INDEX));
-    }
-}
-
-#[test]
-fn the_error_behaviour_is_stored_and_restored() {
-    let mut board = NodeRig::with_node_id(0x40);
-    board.download(0x1029, 1, &[2]).unwrap();
-    board.nmt("82 00");
-    assert_eq!(board.number(0x1029, 1), 0);
-    board.download(0x1029, 1, &[2]).unwrap();
-    board.save(1).unwrap();
-    board.nmt("82 00");
-    assert_eq!(board.number(0x1029, 1), 2);
-    board.download(0x1029, 1, &[1]).unwrap();
-    board.power_cycle();
-    assert_eq!(board.number(0x1029, 1), 2);
-    board.load(1).unwrap();
-    board.power_cycle();
-    assert_eq!(board.number(0x1029, 1), 0);
-}
-
-#[test]
-fn every_other_index_does_not_exist() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for index in 0..=u16::MAX {
-        if TABLE.iter().all(|entry| entry.index != index) {
-            assert_eq!(board.upload(index, 0), Err(DOES_NOT_EXIST), "{index:04X}");
-        }
-    }
-}
-
-#[test]
-fn every_other_sub_index_of_an_object_does_not_exist() {
-    let mut board = NodeRig::with_node_id(0x40);
-    for Entry { index, .. } in TABLE {
-        for sub_index in 0..=u8::MAX {
-            let is_there = |e: &Entry| e.index == *index && e.sub_index == sub_index;
-            if !TABLE.iter().any(is_there) {
-                assert_eq!(board.upload(*index, sub_index), Err(NO_SUB_INDEX));
-                assert_eq!(board.download(*index, sub_index, &[0]), Err(NO_SUB_INDEX));
-            }
-        }
     }
 }
 

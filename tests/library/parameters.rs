@@ -188,23 +188,6 @@ fn save_and_load_of_sub_index_1_2_or_3_concern_their_part_from_the_next_reset_on
 }
 
 #[test]
-fn neither_save_nor_load_touches_node_id_and_bit_rate() {
-    for sub_index in 1..=3 {
-        let mut board = board();
-        board.configure("11 05, 13 00 02, 17");
-        let stored = board.stored().unwrap();
-        board.lss("11 06");
-        board.lss("13 00 03");
-        for index in [0x1010, 0x1011] {
-            let signature = if index == 0x1010 { b"save" } else { b"load" };
-            board.download(index, sub_index, signature).unwrap();
-            let now = board.stored().unwrap();
-            assert_eq!((now.node_id, now.bit_rate), (stored.node_id, stored.bit_rate));
-        }
-    }
-}
-
-#[test]
 fn a_store_by_lss_keeps_the_parameters_and_writes_one_record() {
     let mut board = board_with_200_stored_and_300_set();
     let parameters = board.stored_parameters().to_vec();

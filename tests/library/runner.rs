@@ -897,18 +897,6 @@ fn the_newest_value_of_a_tpdo_leaves_whatever_its_cob_id_and_an_lss_answer_befor
 }
 
 #[test]
-fn a_tpdo_that_waited_when_the_core_was_halted_is_sent_with_the_value_of_now() {
-    let mut board = operational("00");
-    board.runner.application(|machine| machine.level = 7);
-    board.chip().now_us += 2_000_000;
-    board.chip().is_bus_free = true;
-    board.runner.handle_alarm();
-    board.pass_ms(100);
-    let sent = board.take_sent().texts();
-    assert!(sent.iter().any(|text| text == "185: 00 07 00"), "{sent:?}");
-}
-
-#[test]
 fn bus_off_that_stops_the_node_is_reported() {
     let mut board = operational("00");
     board.chip().is_bus_free = true;

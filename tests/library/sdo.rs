@@ -10,33 +10,6 @@ use testkit::{
 
 use crate::sdo_machine::{board, board_with_memory, bytes};
 
-/// A board with node-ID 40h and these names.
-fn board_named(name: &'static str, hardware: &'static str, software: &'static str) -> NodeRig {
-    let names = device(ADDRESS).with_name(name).with_versions(hardware, software);
-    NodeRig::of(names.with_defaults(defaults(0x40)))
-}
-
-#[test]
-fn reserved_bits_and_bytes_of_a_request_are_ignored() {
-    let mut board = NodeRig::with_node_id(0x40);
-    assert_eq!(board.sdo("5F 18 10 04 FF FF FF FF"), ["5C0: 43 18 10 04 EF BE AD DE"]);
-    assert_eq!(board.sdo("3B 17 10 00 E8 03 FF FF"), ["5C0: 60 17 10 00 00 00 00 00"]);
-    assert_eq!(board.sdo("40 17 10 00"), ["5C0: 4B 17 10 00 E8 03 00 00"]);
-    assert_eq!(board.sdo("40 08 10 00"), ["5C0: 41 08 10 00 0A 00 00 00"]);
-    assert_eq!(board.sdo("6F FF FF FF FF FF FF FF"), ["5C0: 00 54 65 73 74 20 62 6F"]);
-}
-
-#[test]
-fn a_text_of_any_length_is_uploaded_completely() {
-    const TEXT: &str = "A name that needs several segments, the last of which is not full.";
-    for len in 0..=TEXT.len() {
-        let mut board = board_named(&TEXT[..len], &TEXT[len..], TEXT);
-        assert_eq!(board.upload(0x1008, 0).unwrap(), &TEXT.as_bytes()[..len]);
-        assert_eq!(board.upload(0x1009, 0).unwrap(), &TEXT.as_bytes()[len..]);
-        assert_eq!(board.upload(0x100A, 0).unwrap(), TEXT.as_bytes());
-    }
-}
-
 #[test]
 fn nothing_is_served_during_a_switch_delay_and_all_after_it() {
     let mut board = NodeRig::with_node_id(0x40);

@@ -28,19 +28,6 @@ fn save_is_confirmed_only_when_done_and_others_are_served_meanwhile() {
 }
 
 #[test]
-fn a_save_that_waits_saves_the_values_of_its_own_start() {
-    let mut board = NodeRig::with_slow_stores();
-    board.sdo(HEARTBEAT_1000);
-    assert_eq!(board.configure("17"), SILENCE);
-    assert_eq!(board.sdo(SAVE), SILENCE, "it waits for the other store");
-    board.sdo("2B 17 10 00 D0 07");
-    board.finish_store();
-    board.finish_store();
-    assert_eq!(board.stored_heartbeat_ms(), Some(2000));
-    assert_eq!(board.number(0x1017, 0), 2000);
-}
-
-#[test]
 fn lss_store_and_save_at_the_same_time_are_both_done_and_both_answered() {
     let expected = defaults(0x04);
     for lss_is_first in [true, false] {

@@ -190,36 +190,6 @@ fn a_start_leaves_eight_places_blank_however_many_there_were() {
 }
 
 #[test]
-fn full_banks_refuse_a_store_and_the_next_start_makes_room_with_any_unit() {
-    struct Stores;
-    impl EachKind for Stores {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let flash = Flash::<W, E>::blank_with_sectors(4, 0);
-            // Of 24 places eight are kept for starts.
-            let room = 24 - 8;
-            let mut n = 0;
-            for _ in 0..5 {
-                let (mut log, _) = Log::open(flash.clone());
-                let erases = flash.erases();
-                let mut stored = 0;
-                let outcome = loop {
-                    n += 1;
-                    match log.store(settings(n)) {
-                        Ok(()) => stored += 1,
-                        Err(error) => break error,
-                    }
-                };
-                assert_eq!(outcome, Error::Full);
-                assert!(stored >= room, "unit of {W}: {stored} stores");
-                assert_eq!((log.settings(), flash.erases()), (Some(settings(n - 1)), erases));
-                assert_eq!(open(&flash.duplicate(0)).0, Some(settings(n - 1)));
-            }
-        }
-    }
-    with_each_kind(&mut Stores);
-}
-
-#[test]
 fn parameters_up_to_the_capacity_can_be_stored_after_every_start_with_any_unit() {
     struct Stores;
     impl EachKind for Stores {

@@ -98,16 +98,6 @@ fn a_guest_stores_and_activates_the_rate_that_13_or_15_has_set() {
 }
 
 #[test]
-fn a_guest_has_the_error_that_it_reports_until_it_is_home() {
-    let mut board = asked_guest();
-    board.pass_ms(500);
-    board.see(Received);
-    assert_eq!(board.number(0x1001, 0), 0x11);
-    send_home(&mut board);
-    assert_eq!(board.number(0x1001, 0), 0);
-}
-
-#[test]
 fn a_guest_switches_after_a_delay_that_is_longer_than_its_stay() {
     let mut board = asked_guest();
     board.configure("13 00 02, 15 FF FF");

@@ -9,7 +9,7 @@ use canopen_node::{
 };
 use testkit::{flash::Operation, node_rig::NodeRig, sdo::Client};
 
-use crate::process_data::{map, set};
+use crate::process_data::set;
 
 objects! {
     /// A drive with values of which some are stored.
@@ -61,11 +61,6 @@ fn configured() -> Board {
     set_stamp(&mut board);
     assert_eq!(board.save(1), Ok(()));
     board
-}
-
-#[test]
-fn a_new_device_has_none() {
-    assert_eq!(stamp(&mut NodeRig::with_node_id(0x40)), NONE);
 }
 
 #[test]
@@ -163,13 +158,6 @@ fn a_change_of_any_stored_parameter_ends_it() {
         board.power_cycle();
         assert_eq!(stamp(&mut board), NONE, "{index:04X} sub {sub_index} is stored");
     }
-}
-
-#[test]
-fn a_change_of_a_mapping_ends_it() {
-    let mut board = configured();
-    map(&mut board, 0x1400, 0x240, &[0x2102_0010]);
-    assert_eq!(stamp(&mut board), NONE);
 }
 
 #[test]
