@@ -11,9 +11,10 @@ use testkit::{
         Operation::{Any, Erase, Read, Write},
     },
     node_rig::{ADDRESS, NodeRig, device},
-    power_cut::{EachKind, store as stores, with_each_kind},
+    power_cut::store as stores,
     random::{Random, every},
     settings::{Content, open, open_with_parameters, parameters, settings},
+    with_each_kind,
 };
 
 /// The longest parameters, which take three places.
@@ -137,17 +138,13 @@ fn die_in_a_store<const W: usize, const E: usize>(taken: u16, new: &Content) {
 
 #[test]
 fn a_flash_that_dies_acknowledges_what_the_next_start_finds_with_any_unit() {
-    struct Deaths;
-    impl EachKind for Deaths {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            // Some of the later stores move to the other bank.
-            for taken in (6..14).step_by(every(3)) {
-                die_in_a_store::<W, E>(taken, &content(2, 30));
-                die_in_a_store::<W, E>(taken, &(Some(settings(2)), parameters(1, 30)));
-            }
+    with_each_kind!(|W, E| {
+        // Some of the later stores move to the other bank.
+        for taken in (6..14).step_by(every(3)) {
+            die_in_a_store::<W, E>(taken, &content(2, 30));
+            die_in_a_store::<W, E>(taken, &(Some(settings(2)), parameters(1, 30)));
         }
-    }
-    with_each_kind(&mut Deaths);
+    });
 }
 
 #[test]
@@ -212,62 +209,54 @@ fn a_store_that_fails_gives_the_reason() {
 
 #[test]
 fn a_store_in_which_any_operation_fails_keeps_the_old_values_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            // A later store moves to the other bank.
-            for (taken, operation) in (0..12).flat_map(|n| [(n, Read), (n, Write)]) {
-                let beginning = with_places_taken::<W, E>(taken);
-                for others in 0.. {
-                    let flash = beginning.duplicate(0);
-                    let (mut log, ..) = open_with_parameters::<LEN, W, E>(&flash);
-                    flash.fail_once(operation, others);
-                    let is_stored = stores(&mut log, &content(2, 30));
-                    if flash.is_faulty() {
-                        assert!(others > 2, "it reads and writes");
-                        break;
-                    }
-                    let left = content(if is_stored { 2 } else { 1 }, 30);
-                    let case = format!("unit of {W}, {operation:?} {others}, stored: {is_stored}");
-                    assert_eq!(held(&log), left, "{case}");
-                    assert_eq!(found(&flash.duplicate(others as u64)), left, "{case}");
-                    assert!(stores(&mut log, &content(3, 30)), "{case}");
-                    assert_eq!(found(&flash), content(3, 30), "{case}");
+    with_each_kind!(|W, E| {
+        // A later store moves to the other bank.
+        for (taken, operation) in (0..12).flat_map(|n| [(n, Read), (n, Write)]) {
+            let beginning = with_places_taken::<W, E>(taken);
+            for others in 0.. {
+                let flash = beginning.duplicate(0);
+                let (mut log, ..) = open_with_parameters::<LEN, W, E>(&flash);
+                flash.fail_once(operation, others);
+                let is_stored = stores(&mut log, &content(2, 30));
+                if flash.is_faulty() {
+                    assert!(others > 2, "it reads and writes");
+                    break;
                 }
+                let left = content(if is_stored { 2 } else { 1 }, 30);
+                let case = format!("unit of {W}, {operation:?} {others}, stored: {is_stored}");
+                assert_eq!(held(&log), left, "{case}");
+                assert_eq!(found(&flash.duplicate(others as u64)), left, "{case}");
+                assert!(stores(&mut log, &content(3, 30)), "{case}");
+                assert_eq!(found(&flash), content(3, 30), "{case}");
             }
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 #[test]
 fn a_start_in_which_any_operation_fails_loses_nothing_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            // Behind the last one, the log has just moved.
-            for (taken, operation) in (6..16).flat_map(|n| [Read, Write, Erase].map(|it| (n, it))) {
-                let beginning = with_places_taken::<W, E>(taken);
-                for others in 0.. {
-                    let flash = beginning.duplicate(0);
-                    flash.fail_once(operation, others);
-                    let (mut log, ..) = open_with_parameters::<LEN, W, E>(&flash);
-                    if flash.is_faulty() {
-                        break;
-                    }
-                    let case = format!("unit of {W}, {taken} places, {operation:?} {others}");
-                    // A store by LSS keeps the parameters in flash.
-                    let is_stored = log.store(settings(8)).is_ok();
-                    let left = Some(settings(if is_stored { 8 } else { 1 }));
-                    let (mut log, then, _) = open_with_parameters::<LEN, W, E>(&flash);
-                    assert_eq!(then, (left, content(1, 30).1), "{case}");
-                    assert!(stores(&mut log, &content(2, 30)), "{case}");
-                    assert_eq!(found(&flash), content(2, 30), "{case}");
+    with_each_kind!(|W, E| {
+        // Behind the last one, the log has just moved.
+        for (taken, operation) in (6..16).flat_map(|n| [Read, Write, Erase].map(|it| (n, it))) {
+            let beginning = with_places_taken::<W, E>(taken);
+            for others in 0.. {
+                let flash = beginning.duplicate(0);
+                flash.fail_once(operation, others);
+                let (mut log, ..) = open_with_parameters::<LEN, W, E>(&flash);
+                if flash.is_faulty() {
+                    break;
                 }
+                let case = format!("unit of {W}, {taken} places, {operation:?} {others}");
+                // A store by LSS keeps the parameters in flash.
+                let is_stored = log.store(settings(8)).is_ok();
+                let left = Some(settings(if is_stored { 8 } else { 1 }));
+                let (mut log, then, _) = open_with_parameters::<LEN, W, E>(&flash);
+                assert_eq!(then, (left, content(1, 30).1), "{case}");
+                assert!(stores(&mut log, &content(2, 30)), "{case}");
+                assert_eq!(found(&flash), content(2, 30), "{case}");
             }
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 /// Stores that are acknowledged after a start that failed, which came after a cut store: every start after them agrees.
@@ -305,74 +294,62 @@ fn store_after_a_failed_start<const W: usize, const E: usize>(stores: u16, rando
 
 #[test]
 fn what_is_acknowledged_after_a_start_that_failed_stays_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let mut random = Random::from_environment();
-            // Some of the cut stores move to the other bank.
-            for stores in 0..6 {
-                store_after_a_failed_start::<W, E>(stores, &mut random);
-            }
+    with_each_kind!(|W, E| {
+        let mut random = Random::from_environment();
+        // Some of the cut stores move to the other bank.
+        for stores in 0..6 {
+            store_after_a_failed_start::<W, E>(stores, &mut random);
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 #[test]
 fn what_is_acknowledged_after_a_format_that_failed_stays_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let formatted = Flash::<W, E>::blank_with_sectors(2, 0);
-            Log::open(formatted.clone());
-            let before = formatted.writes();
-            Log::open(formatted.clone()).0.store(settings(1)).unwrap();
-            let writes = 0..formatted.writes() - before;
-            let format = (0..before).map(|others| (Write, others));
-            for fault in format.chain((0..formatted.erases()).map(|others| (Erase, others))) {
-                for others in writes.clone().step_by(every(5)) {
-                    let flash = Flash::<W, E>::blank_with_sectors(2, 0);
-                    flash.fail_once(fault.0, fault.1);
-                    let (mut log, _) = Log::open(flash.clone());
-                    flash.fail_once(Write, others);
-                    let is_stored = log.store(settings(1)).is_ok();
-                    flash.repair();
-                    for seed in 0..4 {
-                        let next = open(&flash.duplicate(seed)).0;
-                        let expected = is_stored.then_some(settings(1));
-                        assert_eq!(next, expected, "unit of {W}, {fault:?}, {others}");
-                    }
+    with_each_kind!(|W, E| {
+        let formatted = Flash::<W, E>::blank_with_sectors(2, 0);
+        Log::open(formatted.clone());
+        let before = formatted.writes();
+        Log::open(formatted.clone()).0.store(settings(1)).unwrap();
+        let writes = 0..formatted.writes() - before;
+        let format = (0..before).map(|others| (Write, others));
+        for fault in format.chain((0..formatted.erases()).map(|others| (Erase, others))) {
+            for others in writes.clone().step_by(every(5)) {
+                let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+                flash.fail_once(fault.0, fault.1);
+                let (mut log, _) = Log::open(flash.clone());
+                flash.fail_once(Write, others);
+                let is_stored = log.store(settings(1)).is_ok();
+                flash.repair();
+                for seed in 0..4 {
+                    let next = open(&flash.duplicate(seed)).0;
+                    let expected = is_stored.then_some(settings(1));
+                    assert_eq!(next, expected, "unit of {W}, {fault:?}, {others}");
                 }
             }
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 #[test]
 fn a_store_that_fails_in_the_last_place_of_both_banks_is_taken_back() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let flash = || Flash::<W, E>::blank_with_sectors(2, 0);
-            let room = {
-                let (mut log, _) = Log::open(flash());
-                (1..).take_while(|n| log.store(settings(*n)).is_ok()).count() as u16
-            };
-            for others in 0..(32 + 2 * W.max(4)) / W {
-                let flash = flash();
-                let (mut log, _) = Log::open(flash.clone());
-                (1..room).for_each(|n| log.store(settings(n)).unwrap());
-                flash.fail_once(Write, others);
-                let left = room - u16::from(log.store(settings(room)).is_err());
-                for seed in 0..16 {
-                    let next = open(&flash.duplicate(seed)).0;
-                    assert_eq!(next, Some(settings(left)), "unit of {W}, write {others}");
-                }
+    with_each_kind!(|W, E| {
+        let flash = || Flash::<W, E>::blank_with_sectors(2, 0);
+        let room = {
+            let (mut log, _) = Log::open(flash());
+            (1..).take_while(|n| log.store(settings(*n)).is_ok()).count() as u16
+        };
+        for others in 0..(32 + 2 * W.max(4)) / W {
+            let flash = flash();
+            let (mut log, _) = Log::open(flash.clone());
+            (1..room).for_each(|n| log.store(settings(n)).unwrap());
+            flash.fail_once(Write, others);
+            let left = room - u16::from(log.store(settings(room)).is_err());
+            for seed in 0..16 {
+                let next = open(&flash.duplicate(seed)).0;
+                assert_eq!(next, Some(settings(left)), "unit of {W}, write {others}");
             }
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 #[test]
@@ -388,29 +365,25 @@ fn a_record_after_a_move_that_failed_says_that_the_other_bank_is_used() {
 
 #[test]
 fn a_flash_of_any_unit_that_fails_is_reported_and_not_erased() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            for operation in [Read, Write, Erase] {
-                let flash = Flash::<W, E>::blank_with_sectors(2, 0);
-                flash.fail(operation);
-                let (mut log, found) = Log::open(flash.clone());
-                assert!(matches!(found, Found::MediumFailed(_)), "unit of {W}, {operation:?}");
-                assert_eq!(log.settings(), None);
-                assert!(log.store(settings(1)).is_err());
-            }
-            let flash = with_places_taken::<W, E>(0);
-            for others in 0..40 {
-                let flash = flash.duplicate(0);
-                flash.fail_after(Read, others);
-                Log::open(flash.clone());
-                assert_eq!(flash.erases(), 0, "unit of {W}, {others}");
-                flash.repair();
-                assert_eq!(found(&flash), content(1, 30), "unit of {W}, {others}");
-            }
+    with_each_kind!(|W, E| {
+        for operation in [Read, Write, Erase] {
+            let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+            flash.fail(operation);
+            let (mut log, found) = Log::open(flash.clone());
+            assert!(matches!(found, Found::MediumFailed(_)), "unit of {W}, {operation:?}");
+            assert_eq!(log.settings(), None);
+            assert!(log.store(settings(1)).is_err());
         }
-    }
-    with_each_kind(&mut Faults);
+        let flash = with_places_taken::<W, E>(0);
+        for others in 0..40 {
+            let flash = flash.duplicate(0);
+            flash.fail_after(Read, others);
+            Log::open(flash.clone());
+            assert_eq!(flash.erases(), 0, "unit of {W}, {others}");
+            flash.repair();
+            assert_eq!(found(&flash), content(1, 30), "unit of {W}, {others}");
+        }
+    });
 }
 
 #[test]

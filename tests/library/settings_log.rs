@@ -6,12 +6,13 @@ use canopen_node::{
 };
 use testkit::{
     flash::{BoardFlash, Flash, Operation::Erase},
-    power_cut::{EachKind, store, with_each_kind},
+    power_cut::store,
     random::{Random, every},
     settings::{
         flash_with, open, open_with_parameters, parameters as packed, place, record, sealed,
         settings,
     },
+    with_each_kind,
 };
 
 /// The length of a place in flash that is written in words, and its first bytes, which say that it was begun.
@@ -104,22 +105,18 @@ fn settings_that_are_stored_already_are_not_written() {
 
 #[test]
 fn a_start_after_a_store_writes_nothing_with_any_unit() {
-    struct Stores;
-    impl EachKind for Stores {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let flash = Flash::<W, E>::blank_with_sectors(4, 0);
-            assert_eq!(open(&flash), (None, Found::Blank));
-            for n in 1..5 {
-                let (mut log, found) = Log::open(flash.clone());
-                assert_eq!(found, Found::Complete);
-                log.store(settings(n)).unwrap();
-                let steps = (flash.writes(), flash.erases());
-                assert_eq!(open(&flash), (Some(settings(n)), Found::Complete));
-                assert_eq!((flash.writes(), flash.erases()), steps);
-            }
+    with_each_kind!(|W, E| {
+        let flash = Flash::<W, E>::blank_with_sectors(4, 0);
+        assert_eq!(open(&flash), (None, Found::Blank));
+        for n in 1..5 {
+            let (mut log, found) = Log::open(flash.clone());
+            assert_eq!(found, Found::Complete);
+            log.store(settings(n)).unwrap();
+            let steps = (flash.writes(), flash.erases());
+            assert_eq!(open(&flash), (Some(settings(n)), Found::Complete));
+            assert_eq!((flash.writes(), flash.erases()), steps);
         }
-    }
-    with_each_kind(&mut Stores);
+    });
 }
 
 #[test]
@@ -191,23 +188,19 @@ fn a_start_leaves_eight_places_blank_however_many_there_were() {
 
 #[test]
 fn parameters_up_to_the_capacity_can_be_stored_after_every_start_with_any_unit() {
-    struct Stores;
-    impl EachKind for Stores {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            for sectors in 2..6 {
-                let len = parameters::capacity(sectors * E, W) - 6;
-                let flash = Flash::<W, E>::blank_with_sectors(sectors, 0);
-                let mut last = (None, Vec::new());
-                for n in 1..40 {
-                    let (mut log, found, _) = open_with_parameters::<1024, W, E>(&flash);
-                    assert_eq!(found, last);
-                    last = (Some(settings(n)), packed(n, len));
-                    assert!(store(&mut log, &last), "unit of {W}, {len} bytes, store {n}");
-                }
+    with_each_kind!(|W, E| {
+        for sectors in 2..6 {
+            let len = parameters::capacity(sectors * E, W) - 6;
+            let flash = Flash::<W, E>::blank_with_sectors(sectors, 0);
+            let mut last = (None, Vec::new());
+            for n in 1..40 {
+                let (mut log, found, _) = open_with_parameters::<1024, W, E>(&flash);
+                assert_eq!(found, last);
+                last = (Some(settings(n)), packed(n, len));
+                assert!(store(&mut log, &last), "unit of {W}, {len} bytes, store {n}");
             }
         }
-    }
-    with_each_kind(&mut Stores);
+    });
     assert_eq!(parameters::capacity(0x4000, 4), 199 * 24);
     assert_eq!(parameters::capacity(0x4000, 8), 165 * 24);
 }

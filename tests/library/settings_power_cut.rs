@@ -8,12 +8,10 @@ use testkit::{
         Flash, Left,
         Operation::{Erase, Read, Write},
     },
-    power_cut::{
-        EachKind, Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice, store,
-        with_each_kind,
-    },
+    power_cut::{Expected, MOST_CUT_FORMATS, MOST_CUT_STARTS, cut_at_random, cut_twice, store},
     random::{Random, every},
     settings::{open, open_with_parameters, parameters, settings},
+    with_each_kind,
 };
 
 /// Room for parameters of three places, as in `settings_faults.rs`; those here take one or two.
@@ -21,29 +19,21 @@ const WITH_PARAMETERS: usize = 66;
 
 #[test]
 fn two_cuts_in_any_steps_lose_nothing_with_any_unit() {
-    struct Cuts;
-    impl EachKind for Cuts {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let every = every(5) * if W < 4 { 197 } else { 17 };
-            cut_twice::<0, W, E>(&vec![0xFF; 4 * E], 10, every);
-            // Garbage is formatted first.
-            cut_twice::<0, W, E>(&vec![0xA5; 4 * E], 4, every);
-            cut_twice::<WITH_PARAMETERS, W, E>(&vec![0xFF; 6 * E], 9, 3 * every);
-        }
-    }
-    with_each_kind(&mut Cuts);
+    with_each_kind!(|W, E| {
+        let every = every(5) * if W < 4 { 197 } else { 17 };
+        cut_twice::<0, W, E>(&vec![0xFF; 4 * E], 10, every);
+        // Garbage is formatted first.
+        cut_twice::<0, W, E>(&vec![0xA5; 4 * E], 4, every);
+        cut_twice::<WITH_PARAMETERS, W, E>(&vec![0xFF; 6 * E], 9, 3 * every);
+    });
 }
 
 #[test]
 fn random_histories_with_any_number_of_cuts_lose_nothing() {
-    struct Cuts;
-    impl EachKind for Cuts {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            cut_at_random::<0, W, E>(2, 100, 100, 20);
-            cut_at_random::<WITH_PARAMETERS, W, E>(2, 80, 120, 16);
-        }
-    }
-    with_each_kind(&mut Cuts);
+    with_each_kind!(|W, E| {
+        cut_at_random::<0, W, E>(2, 100, 100, 20);
+        cut_at_random::<WITH_PARAMETERS, W, E>(2, 80, 120, 16);
+    });
 }
 
 /// Lives in which at most so many starts in a row are cut, or have a failing operation.
@@ -87,119 +77,99 @@ fn disturb<const P: usize, const W: usize, const E: usize>(
 
 #[test]
 fn many_cut_starts_in_a_row_lose_nothing_with_any_unit() {
-    struct Cuts;
-    impl EachKind for Cuts {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            disturb::<0, W, E>(2, 500 / every(5), false);
-            disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), false);
-        }
-    }
-    with_each_kind(&mut Cuts);
+    with_each_kind!(|W, E| {
+        disturb::<0, W, E>(2, 500 / every(5), false);
+        disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), false);
+    });
 }
 
 #[test]
 fn cuts_and_operations_that_fail_lose_nothing_together_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            disturb::<0, W, E>(2, 500 / every(5), true);
-            disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), true);
-        }
-    }
-    with_each_kind(&mut Faults);
+    with_each_kind!(|W, E| {
+        disturb::<0, W, E>(2, 500 / every(5), true);
+        disturb::<WITH_PARAMETERS, W, E>(3, 200 / every(5), true);
+    });
 }
 
 #[test]
 fn a_start_erases_only_what_a_certain_record_replaces() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let mut random = Random::from_environment();
-            // Up to a store that moves to the other bank, each cut in its last steps.
-            for stores in 3..8 {
-                let beginning = Flash::<W, E>::blank_with_sectors(2, random.u64());
-                let mut expected = Expected::<0>::nothing();
-                expected.power_on(&beginning, stores);
-                let uncut = beginning.duplicate(0);
-                expected.clone().power_on(&uncut, 1);
-                let steps = uncut.writes() + uncut.erases();
-                let faults = (0..90).map(|number| (1 + number % 3, number % 20));
-                for (back, fault) in faults {
-                    let flash = beginning.duplicate(random.u64());
-                    let mut expected = expected.clone();
-                    flash.cut_power_after(steps - back);
-                    expected.power_on(&flash, 1);
+    with_each_kind!(|W, E| {
+        let mut random = Random::from_environment();
+        // Up to a store that moves to the other bank, each cut in its last steps.
+        for stores in 3..8 {
+            let beginning = Flash::<W, E>::blank_with_sectors(2, random.u64());
+            let mut expected = Expected::<0>::nothing();
+            expected.power_on(&beginning, stores);
+            let uncut = beginning.duplicate(0);
+            expected.clone().power_on(&uncut, 1);
+            let steps = uncut.writes() + uncut.erases();
+            let faults = (0..90).map(|number| (1 + number % 3, number % 20));
+            for (back, fault) in faults {
+                let flash = beginning.duplicate(random.u64());
+                let mut expected = expected.clone();
+                flash.cut_power_after(steps - back);
+                expected.power_on(&flash, 1);
+                flash.power_on();
+                // An operation of the start fails, the power is cut later.
+                flash.fail_once(random.pick(&[Write, Erase]), fault);
+                flash.cut_power_after(fault + random.within(0..20) as usize);
+                expected.power_on(&flash, 0);
+                flash.repair();
+                for _ in 0..3 {
                     flash.power_on();
-                    // An operation of the start fails, the power is cut later.
-                    flash.fail_once(random.pick(&[Write, Erase]), fault);
-                    flash.cut_power_after(fault + random.within(0..20) as usize);
                     expected.power_on(&flash, 0);
-                    flash.repair();
-                    for _ in 0..3 {
-                        flash.power_on();
-                        expected.power_on(&flash, 0);
-                    }
                 }
             }
         }
-    }
-    with_each_kind(&mut Faults);
+    });
 }
 
 #[test]
 fn a_start_that_cannot_write_erases_nothing_with_any_unit() {
-    struct Faults;
-    impl EachKind for Faults {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let flash = Flash::<W, E>::blank_with_sectors(2, 0);
-            // One of these stores moves to the other bank.
-            let erases = |n| {
-                Log::open(flash.clone()).0.store(settings(n)).unwrap();
-                let flash = flash.duplicate(n.into());
-                flash.fail(Write);
-                let found = open(&flash);
-                assert_eq!(found.0, Some(settings(n)), "unit of {W}: {:?}", found.1);
-                assert_eq!(flash.erases(), 0, "unit of {W}, {n} stores");
-                flash.repair();
-                open(&flash);
-                flash.erases()
-            };
-            assert!((1..12).map(erases).sum::<usize>() > 0, "a start that can write erases");
-        }
-    }
-    with_each_kind(&mut Faults);
+    with_each_kind!(|W, E| {
+        let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+        // One of these stores moves to the other bank.
+        let erases = |n| {
+            Log::open(flash.clone()).0.store(settings(n)).unwrap();
+            let flash = flash.duplicate(n.into());
+            flash.fail(Write);
+            let found = open(&flash);
+            assert_eq!(found.0, Some(settings(n)), "unit of {W}: {:?}", found.1);
+            assert_eq!(flash.erases(), 0, "unit of {W}, {n} stores");
+            flash.repair();
+            open(&flash);
+            flash.erases()
+        };
+        assert!((1..12).map(erases).sum::<usize>() > 0, "a start that can write erases");
+    });
 }
 
 #[test]
 fn erases_that_are_cut_any_number_of_times_lose_nothing_with_any_unit() {
-    struct Cuts;
-    impl EachKind for Cuts {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let mut random = Random::from_environment();
-            let flash = Flash::<W, E>::blank_with_sectors(2, 0);
-            let mut expected = Expected::<0>::nothing();
-            expected.power_on(&flash, 0);
-            let formatted = flash.erases();
-            for _ in 0..400 {
-                // Each start up to the erase, if there is one, writes at most two records.
-                let stores = random.within(0..4) as usize;
-                let mut cut_starts = 0;
-                while random.one_in(2) || cut_starts < 20 {
-                    cut_starts += 1;
-                    let Some(step) = first_erase(&flash) else {
-                        break;
-                    };
-                    flash.cut_power_after(step + random.within(0..2) as usize);
-                    expected.power_on(&flash, 0);
-                    flash.power_on();
-                }
-                expected.power_on(&flash, stores);
+    with_each_kind!(|W, E| {
+        let mut random = Random::from_environment();
+        let flash = Flash::<W, E>::blank_with_sectors(2, 0);
+        let mut expected = Expected::<0>::nothing();
+        expected.power_on(&flash, 0);
+        let formatted = flash.erases();
+        for _ in 0..400 {
+            // Each start up to the erase, if there is one, writes at most two records.
+            let stores = random.within(0..4) as usize;
+            let mut cut_starts = 0;
+            while random.one_in(2) || cut_starts < 20 {
+                cut_starts += 1;
+                let Some(step) = first_erase(&flash) else {
+                    break;
+                };
+                flash.cut_power_after(step + random.within(0..2) as usize);
+                expected.power_on(&flash, 0);
                 flash.power_on();
             }
-            assert!(flash.erases() > 20 * formatted, "it has moved often");
+            expected.power_on(&flash, stores);
+            flash.power_on();
         }
-    }
-    with_each_kind(&mut Cuts);
+        assert!(flash.erases() > 20 * formatted, "it has moved often");
+    });
 }
 
 /// The number of steps of the next start before its first erase, if it erases.
@@ -212,32 +182,28 @@ fn first_erase<const W: usize, const E: usize>(flash: &Flash<W, E>) -> Option<us
 
 #[test]
 fn every_start_that_is_not_cut_leaves_the_places_that_cut_starts_need() {
-    struct Starts;
-    impl EachKind for Starts {
-        fn run<const W: usize, const E: usize>(&mut self) {
-            let flash = Flash::<W, E>::blank_with_sectors(3, 0);
-            for n in 0..300 {
-                let (mut log, found) = Log::open(flash.clone());
-                assert!(matches!(found, Found::Blank | Found::Complete | Found::Interrupted));
-                let places = (W.max(4) * 2 + 32, 3 * E);
-                let content = flash.content();
-                let is_used = |bank: usize, place: usize| {
-                    let at = bank * places.1 + place * places.0;
-                    content[at..at + places.0].iter().any(|byte| *byte != 0xFF)
-                };
-                let count = places.1 / places.0;
-                let used = [0, 1].map(|bank| (0..count).rev().find(|it| is_used(bank, *it)));
-                let used = used.into_iter().flatten().max().expect("a record");
-                assert!(used < count - 8, "unit of {W}: place {used} of {count} is used");
-                // In the last bytes of the second store, so that a start copies it.
-                log.store(settings(2 * n + 1)).ok();
-                flash.cut_power_after((32 + 2 * W.max(4)) / W - 1);
-                log.store(settings(2 * n + 2)).ok();
-                flash.power_on();
-            }
+    with_each_kind!(|W, E| {
+        let flash = Flash::<W, E>::blank_with_sectors(3, 0);
+        for n in 0..300 {
+            let (mut log, found) = Log::open(flash.clone());
+            assert!(matches!(found, Found::Blank | Found::Complete | Found::Interrupted));
+            let places = (W.max(4) * 2 + 32, 3 * E);
+            let content = flash.content();
+            let is_used = |bank: usize, place: usize| {
+                let at = bank * places.1 + place * places.0;
+                content[at..at + places.0].iter().any(|byte| *byte != 0xFF)
+            };
+            let count = places.1 / places.0;
+            let used = [0, 1].map(|bank| (0..count).rev().find(|it| is_used(bank, *it)));
+            let used = used.into_iter().flatten().max().expect("a record");
+            assert!(used < count - 8, "unit of {W}: place {used} of {count} is used");
+            // In the last bytes of the second store, so that a start copies it.
+            log.store(settings(2 * n + 1)).ok();
+            flash.cut_power_after((32 + 2 * W.max(4)) / W - 1);
+            log.store(settings(2 * n + 2)).ok();
+            flash.power_on();
         }
-    }
-    with_each_kind(&mut Starts);
+    });
 }
 
 /// Cuts the power in each step of a store of a record, behind parameters of these lengths if there is room for them.

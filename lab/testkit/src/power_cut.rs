@@ -141,20 +141,19 @@ pub fn store<const P: usize, const W: usize, const E: usize>(
     log.store_with_parameters(settings, &new.1).is_ok()
 }
 
-/// What runs with each kind of flash.
-pub trait EachKind {
-    /// Runs with program units of `W` bytes and sectors of `E` bytes, which have room for six places.
-    fn run<const W: usize, const E: usize>(&mut self);
-}
-
-/// Runs this with every kind of flash.
-pub fn with_each_kind(each: &mut impl EachKind) {
-    each.run::<1, 256>();
-    each.run::<2, 256>();
-    each.run::<4, 256>();
-    each.run::<8, { 6 * 48 }>();
-    each.run::<16, { 6 * 64 }>();
-    each.run::<32, { 6 * 96 }>();
+/// Runs a block with every kind of flash: with program units of `W` bytes and sectors of `E` bytes, which have room for
+/// six places.
+#[macro_export]
+macro_rules! with_each_kind {
+    (|$w:ident, $e:ident| $body:block) => {{
+        fn run<const $w: usize, const $e: usize>() $body
+        run::<1, 256>();
+        run::<2, 256>();
+        run::<4, 256>();
+        run::<8, { 6 * 48 }>();
+        run::<16, { 6 * 64 }>();
+        run::<32, { 6 * 96 }>();
+    }};
 }
 
 /// Cuts the power in each step of a life of a device with this content of its flash, and then in one of `every` steps
