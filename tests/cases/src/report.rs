@@ -127,7 +127,7 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:70em;mar
     table{border-collapse:collapse;width:100%}td,th{padding:.25em .6em;border-bottom:1px solid #ddd;text-align:left;\
     vertical-align:top}.failed{background:#fde8e8}.skipped{color:#777}.remark{color:#555;font-size:.92em}\
     pre{background:#f5f5f5;color:#222;padding:.8em;margin:.4em 0;overflow-x:auto;white-space:pre-wrap}\
-    summary{cursor:pointer}svg{display:block;margin:.5em 0 1.5em}svg text{font:12px system-ui,sans-serif;fill:#333}";
+    summary{cursor:pointer}";
 
 /// A page of HTML with this title, which is its heading too, and this content.
 pub fn page(title: &str, content: &str) -> String {

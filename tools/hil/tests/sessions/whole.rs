@@ -50,7 +50,6 @@ fn a_blank_board_passes_the_whole_session_and_stays_as_it_was() {
 
     let file = |name: &str| fs::read_to_string(folder.join(name)).expect(name);
     let page = file("report.html");
-    assert_eq!(page.matches("<svg").count(), 2, "answer times and switches");
     assert!(file("report.txt").contains("The boards are as they were found."));
     let head = &run.report["head"];
     let text = |key: &str| head[key].as_str().expect(key).to_owned();
