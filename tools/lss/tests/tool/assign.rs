@@ -26,6 +26,13 @@ pub fn new_file(name: &str) -> PathBuf {
     path
 }
 
+/// A file with this content.
+pub fn file(name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    let path = cargo::scratch(name);
+    fs::write(&path, content).expect("it can be written");
+    path
+}
+
 pub fn entry(id: u8, board: usize) -> String {
     format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
 }
@@ -79,9 +86,8 @@ fn node_ids_begin_at_the_first_and_may_run_out() {
 #[test]
 fn the_boards_of_a_table_get_their_node_ids_and_new_ones_come_into_it() {
     let boards = Boards::new(RATE, &[0xFF, 0xFF, 30, 9]);
-    let path = new_file("network.toml");
     let text = format!("# a network\n{}{}{}", entry(20, 1), entry(31, 2), entry(9, 3));
-    fs::write(&path, &text).expect("it can be written");
+    let path = file("network.toml", &text);
     let outcome = boards.lss(&format!("assign --table {}", path.display()));
     assert_eq!(outcome.code, 0);
     assert_eq!(ids(&boards, 4), [Some(1), Some(20), Some(31), Some(9)]);
@@ -106,8 +112,7 @@ fn a_board_with_a_node_id_that_the_table_lacks_is_named_and_gets_no_entry() {
         ("[[node]]\nid = 30\n", vec![name(9, 1)]),
     ] {
         let boards = Wire::new(RATE, &[30, 9]);
-        let path = new_file("lacks.toml");
-        fs::write(&path, text).expect("it can be written");
+        let path = file("lacks.toml", text);
         let outcome = boards.lss(&format!("assign --table {}", path.display()));
         assert_eq!((outcome.code, &*outcome.error), (0, ""));
         let lines = outcome.text.lines().filter(|line| line.contains("is not in the table"));
@@ -141,8 +146,7 @@ fn a_missing_board_of_a_table_is_named_and_keeps_its_node_id() {
 #[test]
 fn a_node_id_of_the_table_that_another_board_has_is_not_given_twice() {
     let boards = Boards::new(RATE, &[0xFF, 9]);
-    let path = new_file("taken.toml");
-    fs::write(&path, entry(9, 0)).expect("it can be written");
+    let path = file("taken.toml", entry(9, 0));
     let outcome = boards.lss(&format!("assign --table {}", path.display()));
     assert_eq!(outcome.code, 1);
     assert!(outcome.error.starts_with("another board has node-ID 9"), "{}", outcome.error);
@@ -229,9 +233,8 @@ fn a_board_without_fastscan_is_told_and_can_be_given_a_node_id() {
 
 #[test]
 fn no_board_gets_a_node_id_that_the_table_cannot_keep() {
-    let inline = new_file("inline.toml");
     let text = format!("node = [{{ id = 5, address = \"{}\" }}]\n", address_text(0));
-    fs::write(&inline, &text).expect("it can be written");
+    let inline = file("inline.toml", &text);
     for (table, why) in [
         (Path::new("/nowhere/network.toml"), "/nowhere/network.toml: cannot write: "),
         (&*inline, "inline.toml: with one more [[node]] at its end: "),

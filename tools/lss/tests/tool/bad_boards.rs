@@ -6,7 +6,7 @@ use canopen_node::{BitRate, Frame};
 use testkit::{flash::Operation, slave_bus::Defect};
 
 use crate::{
-    assign::new_file,
+    assign::{file, new_file},
     in_process::{At, Fault, Wire, address_text},
 };
 
@@ -15,6 +15,15 @@ const VERIFIED: &str = "stored, verified by a reset";
 
 fn entry(id: u8, board: usize) -> String {
     format!("[[node]]\nid = {id}\naddress = \"{}\"\n", address_text(board))
+}
+
+/// Boards with these node-IDs in LSS configuration state, where node-ID 1 is pending and not stored.
+fn with_pending(ids: &[u8]) -> Wire {
+    let wire = Wire::new(RATE, ids);
+    for raw in ["raw 04 01", "raw 11 01"] {
+        assert_eq!(wire.lss(raw).code, 0);
+    }
+    wire
 }
 
 /// Asserts that these boards have stored node-IDs of their own, and are nodes with them after a power cut.
@@ -170,10 +179,7 @@ fn after_ctrl_c_what_was_done_is_printed_and_a_bad_board_is_named() {
 #[test]
 fn a_node_id_that_nobody_stored_is_taken_back_before_it_takes_effect() {
     for between in [None, Some("list"), Some("inquire"), Some("identify --vendor 0 --product 0")] {
-        let wire = Wire::new(RATE, &[0xFF]);
-        for raw in ["raw 04 01", "raw 11 01"] {
-            assert_eq!(wire.lss(raw).code, 0);
-        }
+        let wire = with_pending(&[0xFF]);
         if let Some(command) = between {
             wire.lss(command);
         }
@@ -184,12 +190,8 @@ fn a_node_id_that_nobody_stored_is_taken_back_before_it_takes_effect() {
 
 #[test]
 fn a_node_id_that_nobody_stored_is_taken_back_before_apply() {
-    let table = new_file("left.toml");
-    fs::write(&table, entry(1, 0)).expect("it can be written");
-    let wire = Wire::new(RATE, &[0xFF]);
-    for raw in ["raw 04 01", "raw 11 01"] {
-        assert_eq!(wire.lss(raw).code, 0);
-    }
+    let table = file("left.toml", entry(1, 0));
+    let wire = with_pending(&[0xFF]);
     assert_eq!(wire.apply(&table, "").0.code, 0);
     assert_stored(&wire, &[0]);
 }
@@ -197,10 +199,7 @@ fn a_node_id_that_nobody_stored_is_taken_back_before_apply() {
 #[test]
 fn nodes_in_configuration_state_keep_the_node_ids_that_they_have() {
     for (before, after) in [(&[5, 0xFF, 7][..], &[5, 1, 7][..]), (&[5, 7], &[5, 7]), (&[5], &[5])] {
-        let wire = Wire::new(RATE, before);
-        for raw in ["raw 04 01", "raw 11 01"] {
-            assert_eq!(wire.lss(raw).code, 0);
-        }
+        let wire = with_pending(before);
         assert_eq!(wire.lss("assign").code, 0);
         // As an NMT master does at its start.
         (0..before.len()).for_each(|board| wire.nmt(board, "82 00"));
@@ -228,8 +227,7 @@ fn after_the_adapter_was_gone_at_any_frame_a_further_run_stores_all() {
 
 #[test]
 fn a_node_id_that_is_taken_back_is_taken_out_of_the_flash_too() {
-    let table = new_file("back.toml");
-    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let table = file("back.toml", entry(7, 0));
     let with_table = format!("assign --table {}", table.display());
     let apply = format!("apply {}", table.display());
     let set = format!("set-id 7 --store --address {}", address_text(0));
@@ -256,8 +254,7 @@ fn a_node_id_that_is_taken_back_is_taken_out_of_the_flash_too() {
 
 #[test]
 fn a_stored_node_id_that_a_board_does_not_use_is_taken_back() {
-    let table = new_file("unused.toml");
-    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let table = file("unused.toml", entry(7, 0));
     let set = "set-id 7 --store --reset".to_owned();
     for command in [set, format!("assign --table {}", table.display())] {
         let wire = Wire::new(RATE, &[3]);
@@ -284,10 +281,7 @@ fn a_board_that_loses_its_node_id_again_is_named() {
 
 #[test]
 fn a_node_id_that_cannot_be_taken_back_is_told() {
-    let wire = Wire::new(RATE, &[0xFF]);
-    for raw in ["raw 04 01", "raw 11 01"] {
-        assert_eq!(wire.lss(raw).code, 0);
-    }
+    let wire = with_pending(&[0xFF]);
     wire.bus().slaves[0].defect = Some(Defect::Refuses(&[0x11, 0xFF]));
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1);
@@ -303,10 +297,7 @@ fn a_node_id_that_cannot_be_taken_back_is_told() {
 
 #[test]
 fn a_board_that_is_gone_before_its_node_id_is_taken_back_is_told() {
-    let wire = Wire::new(RATE, &[0xFF]);
-    for raw in ["raw 04 01", "raw 11 01"] {
-        assert_eq!(wire.lss(raw).code, 0);
-    }
+    let wire = with_pending(&[0xFF]);
     wire.fail_at(At::Write(0), Fault::BoardGone(0));
     let outcome = wire.lss("assign");
     assert_eq!(outcome.code, 1);
@@ -599,8 +590,7 @@ fn a_board_that_spoils_fastscan_is_named_and_all_others_are_finished() {
 
 #[test]
 fn a_device_that_says_yes_to_each_question_is_named_and_the_boards_of_the_table_are_finished() {
-    let table = new_file("yes.toml");
-    fs::write(&table, entry(7, 0)).expect("it can be written");
+    let table = file("yes.toml", entry(7, 0));
     let wire = Wire::new(RATE, &[0xFF, 0xFF, 5]);
     wire.bus().slaves[1].habits.claims_all = true;
     let outcome = wire.lss(&format!("assign --table {}", table.display()));

@@ -21,7 +21,7 @@ use testkit::{
 };
 
 use crate::{
-    assign::new_file,
+    assign::{file, new_file},
     emulated::{run, text},
 };
 
@@ -180,9 +180,8 @@ fn the_127_known_boards_of_a_network_are_verified_within_300_ms() {
     let mut random = Random::from_environment();
     let slaves = Slaves::new(ours(&mut random, IDS), &mut random);
     slaves.pass_ms(random.within(0..2_000));
-    let table = new_file("127-known.toml");
     let nodes = IDS.zip(slaves.addresses()).map(|(id, address)| node(id, address));
-    fs::write(&table, nodes.collect::<String>()).expect("a table");
+    let table = file("127-known.toml", nodes.collect::<String>());
     let outcome = slaves.lss(&format!("assign --bit-rate 1000 --table {}", table.display()));
     assert_eq!(outcome.code, 0, "{}", outcome.error);
     assert_eq!(outcome.text.matches("as in the table").count(), 127);

@@ -1,13 +1,13 @@
 //! `lss assign --one-at-a-time`: a person holds a board, and learns which it is.
 
-use std::{fs, sync::Arc};
+use std::sync::Arc;
 
 use can_bus::person::Person;
 use canopen_node::BitRate;
 use testkit::slave_bus::Defect;
 
 use crate::{
-    assign::new_file,
+    assign::file,
     emulated::run,
     in_process::{Wire, address_text},
 };
@@ -50,9 +50,8 @@ fn each_board_that_is_plugged_in_gets_the_next_node_id_and_is_named() {
 
 #[test]
 fn a_board_of_the_table_gets_its_own_node_id_after_a_new_one() {
-    let table = new_file("one-at-a-time.toml");
     let entry = format!("[[node]]\nid = 30\naddress = \"{}\"\n", address_text(1));
-    fs::write(&table, entry).expect("it can be written");
+    let table = file("one-at-a-time.toml", entry);
     let wire = boards(&[0xFF, 0xFF]);
     wire.hand(5, 0, true);
     wire.hand(30, 1, true);

@@ -7,7 +7,7 @@ use emulator::network::Source;
 use testkit::cargo;
 
 use crate::{
-    assign::{entry, new_file},
+    assign::{entry, file},
     emulated::{Boards, address_text},
 };
 
@@ -92,8 +92,7 @@ fn an_assignment_shows_who_got_what_and_when() {
 #[test]
 fn a_missing_board_and_one_that_does_not_come_back_are_red() {
     let boards = Boards::new(RATE, &[0xFF, 30]);
-    let path = new_file("picture.toml");
-    fs::write(&path, entry(5, 0) + &entry(6, 7).replace("4C535334", "1")).expect("it is written");
+    let path = file("picture.toml", entry(5, 0) + &entry(6, 7).replace("4C535334", "1"));
     boards.after(20, |network| (0..2).for_each(|board| network.power_off(board)));
     boards.after(25, |network| network.power_on(1));
     let arguments = format!("assign --power-check --table {}", path.display());

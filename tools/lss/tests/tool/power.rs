@@ -1,7 +1,7 @@
 //! `lss assign --power-check`.
 
 use canopen_node::BitRate;
-use emulator::network::Source;
+use emulator::network::{Network, Source};
 use testkit::image_rig::{SETTINGS_LENGTH, SETTINGS_OFFSET, flash_with, settings};
 
 use crate::emulated::{Boards, Outcome};
@@ -45,40 +45,30 @@ fn a_board_whose_power_was_not_switched_is_named() {
 }
 
 #[test]
-fn a_board_that_does_not_come_back_is_named() {
-    let boards = two();
-    boards.after(22, |network| network.cut_wire(Source::Board(1)));
-    let outcome = check(&boards, &[0, 1]);
-    assert_eq!(outcome.code, 1);
-    assert!(outcome.error.contains(" has not come back within 30 s: serial number 5FEAF9C5"));
-    assert_eq!(outcome.error.lines().count(), 1, "{}", outcome.error);
-}
-
-#[test]
-fn a_board_that_has_lost_its_node_id_is_named() {
-    let boards = two();
-    boards.after(22, |network| {
-        network.board_mut(1).set_flash(SETTINGS_OFFSET, &[0xFF; SETTINGS_LENGTH]);
-    });
-    let outcome = check(&boards, &[0, 1]);
-    assert_eq!(outcome.code, 1);
-    assert!(outcome.error.contains(" has not come back within 30 s: serial number 5FEAF9C5"));
+fn a_board_that_is_not_as_it_was_after_power_is_named() {
+    let silent = " has not come back within 30 s: serial number 5FEAF9C5";
     let lost = ":5FEAF9C5 has no node-ID after power: it has not kept it";
-    assert!(outcome.error.ends_with(lost), "{}", outcome.error);
-}
-
-#[test]
-fn a_board_with_another_stored_bit_rate_is_named() {
-    let boards = two();
-    boards.after(22, |network| {
+    let moved =
+        "node 1 has stored 500 kbit/s, and the network runs at 125: `lss set-rate` is for all";
+    let cut = |network: &mut Network| network.cut_wire(Source::Board(1));
+    let erase = |network: &mut Network| {
+        network.board_mut(1).set_flash(SETTINGS_OFFSET, &[0xFF; SETTINGS_LENGTH]);
+    };
+    let other_rate = |network: &mut Network| {
         let stored = flash_with(&[settings(1, BitRate::Kbit500)]);
         network.board_mut(1).set_flash(SETTINGS_OFFSET, &stored);
-    });
-    let outcome = check(&boards, &[0, 1]);
-    assert_eq!(outcome.code, 1);
-    let expected =
-        "node 1 has stored 500 kbit/s, and the network runs at 125: `lss set-rate` is for all";
-    assert_eq!(outcome.error, expected);
+    };
+    let deeds: [fn(&mut Network); 3] = [cut, erase, other_rate];
+    let words: [&[&str]; 3] = [&[silent], &[silent, lost], &[moved]];
+    for (deed, words) in deeds.into_iter().zip(words) {
+        let boards = two();
+        boards.after(22, deed);
+        let outcome = check(&boards, &[0, 1]);
+        assert_eq!((outcome.code, outcome.error.lines().count()), (1, words.len()));
+        for (line, words) in outcome.error.lines().zip(words) {
+            assert!(line.contains(words), "{}", outcome.error);
+        }
+    }
 }
 
 #[test]

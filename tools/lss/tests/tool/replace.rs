@@ -5,7 +5,7 @@ use std::{fs, path::PathBuf};
 use canopen_node::BitRate;
 
 use crate::{
-    assign::{entry, ids, new_file},
+    assign::{entry, file, ids},
     emulated::{Boards, Outcome, address_text},
 };
 
@@ -13,8 +13,7 @@ const RATE: BitRate = BitRate::Kbit125;
 
 /// A table with this text, and what `lss assign` with it and these further arguments does.
 fn assign(boards: &Boards, name: &str, text: &str, arguments: &str) -> (Outcome, PathBuf) {
-    let path = new_file(name);
-    fs::write(&path, text).expect("it can be written");
+    let path = file(name, text);
     let outcome = boards.lss(&format!("assign --table {} {arguments}", path.display()));
     boards.assert_waiting(RATE);
     (outcome, path)
