@@ -67,7 +67,7 @@ pub fn read(session: &mut Session, object: &Object) -> Result {
     let sheet = object.sheet()?;
     let (address, entry) = object.entry(sheet.as_ref())?;
     let bytes = sdo::read(&mut session.bus, object.node.get(), address.0, address.1)?
-        .map_err(|why| failed(object, address, why))?;
+        .map_err(|why| failed(session, object, address, why))?;
     let text = match entry {
         Some(entry) => entry.text(&bytes),
         None => {
@@ -88,17 +88,18 @@ pub fn write(session: &mut Session, object: &Object, value: &str) -> Result {
     };
     let bytes = sheet.written(entry, value, object.node.get()).map_err(Failure::Refused)?;
     sdo::download(&mut session.bus, object.node.get(), address, &bytes, WAIT)?
-        .map_err(|why| failed(object, address, why))
+        .map_err(|why| failed(session, object, address, why))
 }
 
 /// A node may store before it answers.
 const WAIT: Duration = Duration::from_secs(5);
 
-fn failed(object: &Object, address: eds::Address, why: sdo::Error) -> Failure {
+fn failed(session: &Session, object: &Object, address: eds::Address, why: sdo::Error) -> Failure {
     let words = format!("node {}, {}: {why}", object.node, address_words(address, None));
     match why {
         sdo::Error::NoAnswer => {
-            Failure::NoAnswer(words + ". Is the bit rate right? `lss find` looks for it")
+            let rate = session.bus.rate();
+            Failure::NoAnswer(format!("{words} at {rate}. `lss find` looks for the bit rate"))
         }
         _ => Failure::Refused(words),
     }

@@ -64,7 +64,7 @@ fn values_are_read_and_written_by_type_or_by_the_sheet() {
         ("write 5 1017 0500 --type u16", 1, "0500 is no UNSIGNED16"),
         ("read 5 Gain", 1, "Gain is no object: 1017, or 2101:1"),
         ("read 5 5000", 1, "node 5, 5000:0: there is no such object (abort 06020000)"),
-        ("read 6 1017", 3, "node 6, 1017:0: no answer"),
+        ("read 6 1017", 3, "1017:0: no answer at 125 kbit/s. `lss find` looks for the bit rate"),
     ] {
         let outcome = wire.lss(arguments);
         assert_eq!(outcome.code, code, "{arguments}");
