@@ -123,32 +123,27 @@ impl FromStr for Place {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(':') {
-            Some(("slcan", rest)) if !rest.is_empty() => {
-                if let Some(address) = rest.strip_prefix("tcp:") {
-                    let port =
-                        address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
-                    return match port {
-                        Some(_) => Ok(Self::Tcp(address.to_owned())),
-                        None => Err("slcan:tcp: needs HOST:PORT".into()),
-                    };
-                }
-                let (device, baud) = match rest.rsplit_once('@') {
-                    Some((device, baud)) => {
-                        (device, baud.parse().map_err(|_| "@BAUD is a number")?)
-                    }
-                    None => (rest, BAUD),
-                };
-                Ok(Self::Serial { device: device.to_owned(), baud })
+        const USE: &str = "use slcan:/dev/ttyACM0, slcan:tcp:HOST:PORT or socketcan:can0";
+        let (kind, rest) = text.split_once(':').filter(|(_, rest)| !rest.is_empty()).ok_or(USE)?;
+        let (name, option) = match rest.rsplit_once('@') {
+            Some((name, option)) => (name.to_owned(), Some(option)),
+            None => (rest.to_owned(), None),
+        };
+        match kind {
+            "slcan" if let Some(address) = rest.strip_prefix("tcp:") => {
+                let port = address.rsplit_once(':').and_then(|(_, port)| port.parse::<u16>().ok());
+                port.map(|_| Self::Tcp(address.to_owned()))
+                    .ok_or("slcan:tcp: needs HOST:PORT".into())
             }
-            Some(("socketcan", interface)) if !interface.is_empty() => {
-                let (interface, fixed_rate) = match interface.split_once('@') {
-                    Some((interface, rate)) => (interface, Some(bit_rate(rate)?)),
-                    None => (interface, None),
-                };
-                Ok(Self::SocketCan { interface: interface.to_owned(), fixed_rate })
+            "slcan" => {
+                let baud = option.map_or(Ok(BAUD), str::parse).map_err(|_| "@BAUD is a number")?;
+                Ok(Self::Serial { device: name, baud })
             }
-            _ => Err("use slcan:/dev/ttyACM0, slcan:tcp:HOST:PORT or socketcan:can0".into()),
+            "socketcan" => Ok(Self::SocketCan {
+                interface: name,
+                fixed_rate: option.map(bit_rate).transpose()?,
+            }),
+            _ => Err(USE.into()),
         }
     }
 }

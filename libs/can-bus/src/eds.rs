@@ -673,13 +673,12 @@ impl Entry {
                         let bits = number(text, 0)?;
                         (bits >> (8 * length) == 0).then(|| self.of_number(bits))
                     }
-                    false if length == 4 => {
-                        let value = text.parse::<f32>().ok()?;
-                        (value.is_finite() || is_infinite).then(|| value.to_le_bytes().to_vec())
-                    }
                     false => {
-                        let value = text.parse::<f64>().ok()?;
-                        (value.is_finite() || is_infinite).then(|| value.to_le_bytes().to_vec())
+                        let bytes = match length {
+                            4 => text.parse::<f32>().ok()?.to_le_bytes().to_vec(),
+                            _ => text.parse::<f64>().ok()?.to_le_bytes().to_vec(),
+                        };
+                        (is_infinite || self.real(&bytes)?.is_finite()).then_some(bytes)
                     }
                 }
             }
