@@ -271,7 +271,7 @@ fn a_slow_core_takes_two_and_three_times_as_long_and_systick_does_not() {
 }
 
 #[test]
-fn flash_waits_cost_what_the_prefetch_does_not_hide() {
+fn flash_waits_cost_what_prefetch_and_cache_do_not_hide() {
     const LINES: u64 = 300 / 8;
     let waiting = ChipVariant { flash_waits: true, ..ChipVariant::default() };
     let never = cycles_of_300_additions(5, ChipVariant::default());

@@ -10,8 +10,8 @@ pub struct ChipVariant {
     pub no_fault_below_ram: bool,
     /// The factor for the cycles of an instruction, for flash wait states and cache misses: 1 to 3.
     pub slowdown: u8,
-    /// A read of the flash takes the wait states of FLASH_ACR unless the prefetch hides them (RM0090 3.5). Otherwise, and on an
-    /// STM32G4, it takes none.
+    /// A read of the flash takes the wait states of FLASH_ACR unless the prefetch or a cache hides them (RM0090 3.5).
+    /// Otherwise, and on an STM32G4, it takes none.
     pub flash_waits: bool,
     /// The code that waits for the flash is in the instruction cache, so that the core runs on while the flash is busy.
     /// Otherwise the core stalls at its next fetch from the busy bank.

@@ -348,7 +348,7 @@ impl Engine for Rsemu {
         };
         self.link.flash_busy.store(false, Relaxed);
         self.spin = None;
-        *self.link.accelerator() = Accelerator::default();
+        *self.link.accelerator() = Accelerator::new();
         self.sync_flash();
     }
 

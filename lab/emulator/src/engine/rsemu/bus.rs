@@ -50,7 +50,7 @@ impl Link {
             flash_busy: AtomicBool::new(false),
             load_waits_until: AtomicU64::new(0),
             clock: Mutex::new(clock),
-            accelerator: Mutex::new(Accelerator::default()),
+            accelerator: Mutex::new(Accelerator::new()),
         }
     }
 
@@ -158,7 +158,7 @@ impl MemOps for FlashReads {
                 if attrs.is_fetch() {
                     accelerator.fetch(address, cycle);
                 } else {
-                    accelerator.load(cycle);
+                    accelerator.load(address, cycle);
                 }
             }
             Extra::Correction => {
@@ -288,7 +288,7 @@ fn memory(name: &str, store: &Arc<RamStore>, base: u32, perms: Perms) -> Mapping
     Mapping::new(Region::ram(name, Arc::clone(store)), base.into()).with_perms(perms)
 }
 
-/// The flash for fetches and loads, at its address or at 0. Both have the same lines.
+/// The flash for fetches and loads, at its address or at 0. Both have the same lines in the caches.
 fn code(name: &str, flash: &Arc<RamStore>, chip: &Aperture, extra: Extra, base: u32) -> Mapping {
     let reads = FlashReads { extra, flash: Arc::clone(flash), chip: chip.clone() };
     let region = Region::io(name, flash.len(), Arc::new(reads));
