@@ -111,7 +111,7 @@ fn no_order_of_calls_makes_the_node_panic_or_answer_without_end() {
         for _ in 0..300 {
             let now = Instant::from_micros(random.u32());
             match random.within(0..4) {
-                0 => node.handle_stored(Ok(())),
+                0 => node.handle_stored(Ok(&[])),
                 1 => {
                     let calls = std::iter::from_fn(|| node.poll(now)).take(1_000);
                     assert!(calls.count() < 1_000, "poll comes to an end");

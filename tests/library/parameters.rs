@@ -228,10 +228,12 @@ fn the_values_are_those_of_the_moment_at_which_the_board_begins_to_store() {
     board.let_stores_take_time();
     set(&mut board, 200, 1000);
     assert_eq!(board.sdo("23 10 10 01 73 61 76 65"), SILENCE, "the answer follows the store");
-    board.node.application_mut().speed = 250;
+    set(&mut board, 250, 2000);
+    board.begin_store_late();
+    set(&mut board, 300, 3000);
     assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
     board.power_cycle();
-    assert_eq!(values(&mut board), (250, 1000));
+    assert_eq!(values(&mut board), (250, 2000));
 }
 
 #[test]

@@ -341,9 +341,9 @@ fn the_parameters_of_process_data_are_packed_as_documented() {
         &[0x01, 0x18, 0, 0x20, 24, 0, 0, 8, 0, 0xC0, 1, 0, 0, 0],
         &[0, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x40, 3, 0, 0x60],
         &[0x17, 0x10, 0, 0x06, 2, 0, 0, 0],
+        &[0x19, 0x10, 0, 0x05, 1, 0, 0],
         &[0x16, 0x10, 1, 0x07, 4, 0, 0xE8, 3, 5, 0],
         &[0x05, 0x10, 0, 0x07, 4, 0, 0x80, 0, 0, 0],
-        &[0x19, 0x10, 0, 0x05, 1, 0, 0],
     ];
     assert_eq!(board.stored_parameters(), expected.concat());
 }

@@ -115,7 +115,7 @@ fn a_save_that_still_waits_is_forgotten_by_reset_communication() {
 #[test]
 fn an_outcome_without_a_store_is_ignored() {
     let mut board = NodeRig::with_node_id(0x40);
-    board.node.handle_stored(Ok(()));
+    board.node.handle_stored(Ok(&[]));
     assert_eq!(board.pass_ms(1), SILENCE);
     board.lss("04 01");
     assert_eq!(board.lss("17"), ["17 00"], "the next store is answered once");

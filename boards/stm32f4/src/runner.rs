@@ -63,7 +63,8 @@ impl<const STORED_LEN: usize> Storage<STORED_LEN> {
         };
         let parameters = parameters.get(..len).unwrap_or_default();
         let outcome = self.log.store_with_parameters(settings, parameters);
-        runner.lock(|runner| runner.handle_stored(outcome.map_err(StoreError::from)));
+        let stored = outcome.map(|()| parameters).map_err(StoreError::from);
+        runner.lock(|runner| runner.handle_stored(stored));
         match outcome {
             Ok(()) => defmt::info!("settings stored"),
             Err(error) => {

@@ -50,7 +50,8 @@ pub struct NodeRig<A: Application = NoApplication> {
     pub is_quiet: bool,
     receives: Receives<A::Numbers>,
     /// The store in progress, if stores take time.
-    running_store: Option<Settings>,
+    /// The settings and parameters of the store in progress.
+    running_store: Option<(Settings, Vec<u8>)>,
     stores_take_time: bool,
     actions: Vec<(u64, Action)>,
     /// The time of the last call of `timeline`.
@@ -262,16 +263,30 @@ impl<A: Application + Clone> NodeRig<A> {
 
     /// Executes the store in progress; returns the frames that the node sends then.
     pub fn finish_store(&mut self) -> Frames {
-        let settings = self.running_store.take().expect("a store is running");
-        let outcome = self.store(settings);
-        self.end_store(outcome)
+        let (settings, parameters) = self.running_store.clone().expect("a store is running");
+        let outcome = self.log.store_with_parameters(settings, &parameters);
+        self.end_store(outcome.map_err(StoreError::from))
+    }
+
+    /// Begins the store in progress only now, as a busy board does.
+    pub fn begin_store_late(&mut self) {
+        let (settings, _) = self.running_store.take().expect("a store is running");
+        self.running_store = Some((settings, self.parameters_to_store()));
+    }
+
+    fn parameters_to_store(&mut self) -> Vec<u8> {
+        let mut parameters = vec![0; ROOM];
+        let len = self.node.write_parameters(self.log.parameters(), &mut parameters);
+        parameters.truncate(len);
+        parameters
     }
 
     /// Ends the store in progress with the given outcome; returns the frames that the node sends then.
     pub fn end_store(&mut self, outcome: Result<(), StoreError>) -> Frames {
         let before = self.actions.len();
-        self.running_store = None;
-        self.node.handle_stored(outcome);
+        let parameters =
+            self.running_store.take().map(|(_, parameters)| parameters).unwrap_or_default();
+        self.node.handle_stored(outcome.map(|()| &parameters[..]));
         self.run();
         self.sent_since(before)
     }
@@ -397,13 +412,16 @@ impl<A: Application + Clone> NodeRig<A> {
                 self.bit_rate = rate;
                 self.receives = self.node.receives();
             }
-            Action::Store(settings) if self.stores_take_time => {
-                assert!(self.running_store.is_none(), "one store at a time");
-                self.running_store = Some(settings);
-            }
             Action::Store(settings) => {
-                let outcome = self.store(settings);
-                self.node.handle_stored(outcome);
+                assert!(self.running_store.is_none(), "one store at a time");
+                let parameters = self.parameters_to_store();
+                if self.stores_take_time {
+                    self.running_store = Some((settings, parameters));
+                    return;
+                }
+                let outcome = self.log.store_with_parameters(settings, &parameters);
+                self.node
+                    .handle_stored(outcome.map(|()| &parameters[..]).map_err(StoreError::from));
             }
             Action::ResetDevice => self.restart(),
             Action::Listen(rate) => {
@@ -412,12 +430,6 @@ impl<A: Application + Clone> NodeRig<A> {
                 self.receives = self.node.receives();
             }
         }
-    }
-
-    fn store(&mut self, settings: Settings) -> Result<(), StoreError> {
-        let mut parameters = [0; ROOM];
-        let len = self.node.write_parameters(self.log.parameters(), &mut parameters);
-        Ok(self.log.store_with_parameters(settings, &parameters[..len])?)
     }
 
     /// Cuts and restores the power; the node has not been polled then.

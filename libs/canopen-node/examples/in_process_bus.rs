@@ -46,7 +46,7 @@ fn run(received: mpsc::Receiver<Frame>, transmitted: mpsc::Sender<Frame>) {
                         node.handle_bus_event(BusEvent::NonePending, now());
                     }
                 }
-                Action::Store(_settings) => node.handle_stored(Ok(())),
+                Action::Store(_settings) => node.handle_stored(Ok(&[])),
                 other => println!("  {other:?}"),
             }
         }

@@ -29,6 +29,8 @@ const LOST: u16 = own::HEARTBEAT_LOST.code;
 #[derive(Clone, Debug)]
 pub(crate) struct Consumer<N: Numbers> {
     producers: Producers<N>,
+    /// The entries to which a reset returns.
+    pub persistent: Producers<N>,
     watches: N::Producers<Watch>,
 }
 
@@ -46,7 +48,7 @@ impl<const PRODUCERS: usize> Rows<PRODUCERS> {
         let mut at = 1;
         while at <= MAX_PRODUCERS {
             let object = Object::ConsumerHeartbeatTime(at as u8);
-            rows[at] = row(INDEX, at as u8, Unsigned32, ReadWrite, object);
+            rows[at] = row(INDEX, at as u8, Unsigned32, ReadWrite, object).stored();
             at += 1;
         }
         rows
@@ -59,17 +61,12 @@ impl<const PRODUCERS: usize> Rows<PRODUCERS> {
 impl<N: Numbers> Consumer<N> {
     /// A consumer with these entries.
     pub const fn new(producers: Producers<N>) -> Self {
-        Self { producers, watches: List::UNUSED }
+        Self { producers, persistent: producers, watches: List::UNUSED }
     }
 
-    /// The entries in use.
-    pub const fn producers(&self) -> &Producers<N> {
-        &self.producers
-    }
-
-    /// Restarts as after power-on, with these entries.
-    pub fn reset(&mut self, persistent: &Producers<N>) {
-        self.producers = *persistent;
+    /// Restarts as after power-on, with the persistent entries.
+    pub fn reset(&mut self) {
+        self.producers = self.persistent;
         self.watches.as_mut().fill(Watch::Waiting);
     }
 
@@ -140,11 +137,6 @@ impl<N: Numbers> Producers<N> {
     /// These entries.
     pub const fn new(producers: N::Producers<Producer>) -> Self {
         Self(producers)
-    }
-
-    /// The values, that of sub-index 1 first.
-    pub fn values(&self) -> impl Iterator<Item = u32> {
-        self.0.as_ref().iter().map(Producer::value)
     }
 
     /// Sets a sub-index.

@@ -44,6 +44,9 @@ pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
 
+/// The time of accesses to objects that do not depend on it.
+const START: Instant = Instant::from_micros(0);
+
 /// A CANopen node that an LSS master can configure.
 ///
 /// These calls drive it:
@@ -133,8 +136,11 @@ impl Node {
 
 impl<A: Application> Node<A> {
     /// The greatest number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize =
-        A::STORED_LEN + Communication::<A::Numbers>::stored_len::<A>() + Verification::STORED_LEN;
+    pub const STORED_LEN: usize = {
+        // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
+        let _ = Communication::<A::Numbers>::new::<A>();
+        A::STORED_LEN + stored::len::<A>()
+    };
 
     /// A node after power-on, as [`new`](Node::new) makes it, with an application.
     pub const fn with_application(
@@ -365,52 +371,51 @@ impl<A: Application> Node<A> {
     /// its limits; returns whether it was taken. [`Application::accept`] is not called. Pass all parameters before the
     /// first [`poll`](Self::poll), with [`Log::restore`](crate::settings::Log::restore).
     pub fn restore(&mut self, parameter: &Parameter<'_>) -> bool {
-        let Product { application, communication, .. } = &mut self.product;
-        match Area::of(parameter.index) {
-            Area::Application => areas::restore(application, parameter),
-            Area::Verification => self.storing.verification.restore(parameter),
-            Area::Communication => {
-                let is_taken = communication.restore::<A>(parameter);
-                self.nmt.configure(communication.heartbeat_ms(), communication.error_behaviour());
-                self.emergency.configure(communication.emergency());
-                is_taken
-            }
+        if Area::of(parameter.index) == Area::Application {
+            return areas::restore(&mut self.product.application, parameter);
         }
+        let is_taken = self.objects(START).0.take(parameter).is_some();
+        self.reset_parameters();
+        self.storing.verification.current = self.storing.verification.persistent;
+        is_taken
     }
 
     /// Packs the parameters that the store in progress makes persistent, and returns the number of bytes. These are the
     /// `persistent` ones, where the request renews a part by the current values or, for 1011h, leaves it out. The
     /// buffer must have [`STORED_LEN`](Self::STORED_LEN) bytes.
     ///
-    /// Call it in one piece with taking the [`Action::Store`], so that all values are of the same time.
-    pub fn write_parameters(&self, persistent: &[u8], to: &mut [u8]) -> usize {
+    /// All values are those of this moment, so call it once, when the board begins to store.
+    pub fn write_parameters(&mut self, persistent: &[u8], to: &mut [u8]) -> usize {
         let mut packer = Packer::new(to);
-        for part in Area::ALL {
-            match (part.change(self.storing.download()), part) {
-                (Change::Keep, _) => part.keep(persistent, &mut packer),
+        let download = self.storing.download();
+        for area in Area::ALL {
+            match (area.change(download), download) {
+                (Change::Keep, _) | (_, None) => area.keep(persistent, &mut packer),
                 (Change::Remove, _) => {}
-                (Change::Renew, Area::Communication) => {
-                    self.product.communication.save::<A>(&mut packer);
+                (Change::Renew, _) if area == Area::Application => {
+                    areas::save(&self.product.application, &mut packer);
                 }
-                (Change::Renew, Area::Application) => {
-                    areas::save(&self.product.application, &mut packer)
-                }
-                (Change::Renew, Area::Verification) => {
-                    self.storing.verification.save(&mut packer);
+                (Change::Renew, Some(Download { sub_index, .. })) => {
+                    let is_right = self.storing.verification.is_right_after(sub_index);
+                    if area == Area::Communication || is_right {
+                        self.objects(START).0.save(area, &mut packer);
+                    }
                 }
             }
         }
         packer.len()
     }
 
-    /// Records the outcome of the last [`Action::Store`].
-    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+    /// Records the outcome of the last [`Action::Store`]: the packed parameters that are persistent now, as
+    /// [`write_parameters`](Self::write_parameters) has returned them, or why nothing was stored.
+    pub fn handle_stored(&mut self, outcome: Result<&[u8], StoreError>) {
         let Store::Running(settings, requester) = self.storing.store else {
             return;
         };
-        self.storing.store = Store::Done(outcome, requester);
-        self.product.communication.end_store(outcome.is_ok());
-        self.storing.verification.end_store(outcome.is_ok());
+        if let (Ok(parameters), Some(_)) = (outcome, self.storing.download()) {
+            self.replace_persistent(parameters);
+        }
+        self.storing.store = Store::Done(outcome.map(|_| ()), requester);
         if outcome.is_ok() {
             self.storing.persistent = settings;
             self.emergency.end_fault(Fault::SettingsLost);
@@ -536,19 +541,9 @@ impl<A: Application> Node<A> {
         } else {
             let download = sdo_request?;
             self.storing.sdo_request = None;
-            let communication = &mut self.product.communication;
-            match Area::Communication.change(Some(download)) {
-                Change::Keep => {}
-                Change::Renew => communication.stage(&self.nmt, self.emergency.configuration),
-                Change::Remove => {
-                    communication.stage_declared::<A>(self.product.device.heartbeat_ms);
-                }
-            }
-            let verification = &mut self.storing.verification;
             if Area::Verification.change(Some(download)) == Change::Remove {
-                verification.clear();
+                self.storing.verification.clear();
             }
-            verification.stage(download.sub_index);
             let mut settings = persistent;
             // Their object is in this area.
             let change = Area::Application.change(Some(download));

@@ -279,14 +279,21 @@ pub(crate) const fn row(
     Entry { index, sub_index, data_type, access, options: Options::NONE, object }
 }
 
+impl Entry {
+    /// The same row, with a value that 1010h stores.
+    pub(crate) const fn stored(self) -> Self {
+        Self { options: self.options.stored(), ..self }
+    }
+}
+
 /// Declares the table of the node's objects, and a function that describes them. A row has a sub-index, a name, for
-/// sub-index 0 the name `of` an object with further sub-indices, a data type, an access, the [`Object`], and optionally
-/// its default and its limits.
+/// sub-index 0 the name `of` an object with further sub-indices, a data type, an access, `stored` if 1010h stores the
+/// value, the [`Object`], and optionally its default and its limits.
 macro_rules! table {
     ($device:ident: $($index:literal {
         $(
             $sub_index:literal $name:literal $(of $object_name:literal)?
-            : $data_type:ident, $access:ident, $object:ident $(($part:literal))?
+            : $data_type:ident, $access:ident $($option:ident)?, $object:ident $(($part:literal))?
             $(= $default:ident($value:expr))? $(, $low:literal ..= $high:literal)?;
         )+
     })*) => {
@@ -298,7 +305,7 @@ macro_rules! table {
                 sub_index: $sub_index,
                 data_type: DataType::$data_type,
                 access: Access::$access,
-                options: Options::NONE,
+                options: Options::NONE$(.$option())?,
                 object: Object::$object $(($part))?,
             },
         )+)*];
@@ -365,13 +372,13 @@ table! {
         3 "Restore application default parameters": Unsigned32, ReadWrite, RestoreDefaultParameters = Number(1);
     }
     0x1014 {
-        0 "COB-ID EMCY": Unsigned32, ReadWrite, CobIdEmergency = NodeIdPlus(0x80);
+        0 "COB-ID EMCY": Unsigned32, ReadWrite stored, CobIdEmergency = NodeIdPlus(0x80);
     }
     0x1015 {
-        0 "Inhibit time EMCY": Unsigned16, ReadWrite, InhibitTimeEmergency = Number(0);
+        0 "Inhibit time EMCY": Unsigned16, ReadWrite stored, InhibitTimeEmergency = Number(0);
     }
     0x1017 {
-        0 "Producer heartbeat time": Unsigned16, ReadWrite, ProducerHeartbeatTime
+        0 "Producer heartbeat time": Unsigned16, ReadWrite stored, ProducerHeartbeatTime
             = Number(device.heartbeat_ms.into());
     }
     0x1018 {
@@ -383,12 +390,12 @@ table! {
     }
     0x1020 {
         0 "Highest sub-index supported" of "Verify configuration": Unsigned8, Const, HighestSubIndex(2);
-        1 "Configuration date": Unsigned32, ReadWrite, VerifyConfiguration(1) = Number(0);
-        2 "Configuration time": Unsigned32, ReadWrite, VerifyConfiguration(2) = Number(0);
+        1 "Configuration date": Unsigned32, ReadWrite stored, VerifyConfiguration(1) = Number(0);
+        2 "Configuration time": Unsigned32, ReadWrite stored, VerifyConfiguration(2) = Number(0);
     }
     0x1029 {
         0 "Highest sub-index supported" of "Error behaviour": Unsigned8, Const, HighestSubIndex(1);
-        1 "Communication error": Unsigned8, ReadWrite, CommunicationErrorBehaviour = Number(0), 0..=2;
+        1 "Communication error": Unsigned8, ReadWrite stored, CommunicationErrorBehaviour = Number(0), 0..=2;
     }
     0x1200 {
         0 "Highest sub-index supported" of "SDO server parameter": Unsigned8, Const, HighestSubIndex(2);

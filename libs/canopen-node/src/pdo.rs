@@ -24,6 +24,7 @@ use crate::{
     numbers::{Element, List, Numbers},
     object_dictionary::{Entry, Object},
     sdo::Abort,
+    settings::parameters::Packer,
     sync::{self, Sync},
 };
 use mapping::{Direction, Mapping};
@@ -41,13 +42,15 @@ const INHIBIT_TIME: u8 = 3;
 pub(crate) struct Configuration<N: Numbers> {
     tpdos: N::Tpdos<Pdo>,
     rpdos: N::Rpdos<Pdo>,
-    pub sync: Sync,
+    sync: Sync,
 }
 
 /// The PDOs of a node. They take no code if there are none.
 #[derive(Clone, Debug)]
 pub(crate) struct Pdos<N: Numbers> {
     current: Configuration<N>,
+    /// The parameters to which a reset returns.
+    pub persistent: Configuration<N>,
     tpdos: N::Tpdos<Transmission>,
     /// The TPDOs in use whose type is synchronous.
     synchronous: Tpdos,
@@ -116,6 +119,7 @@ impl<N: Numbers> Pdos<N> {
     pub const fn new(configuration: Configuration<N>) -> Self {
         Self {
             current: configuration,
+            persistent: configuration,
             tpdos: List::UNUSED,
             synchronous: Tpdos::NONE,
             counting: Tpdos::NONE,
@@ -129,15 +133,15 @@ impl<N: Numbers> Pdos<N> {
         }
     }
 
-    /// The parameters in use.
-    pub const fn configuration(&self) -> &Configuration<N> {
-        &self.current
+    /// Packs the PDOs in use, but for the event timers of RPDOs.
+    pub fn save(&self, to: &mut Packer<'_>) {
+        self.current.save(to);
     }
 
-    /// Restarts as after power-on, with these parameters.
-    pub fn reset(&mut self, persistent: &Configuration<N>) {
+    /// Restarts as after power-on, with the persistent parameters.
+    pub fn reset(&mut self) {
         if Self::IS_USED {
-            self.current = *persistent;
+            self.current = self.persistent;
             self.stop();
             (self.is_sync_wrong, self.is_running) = (false, false);
         }
@@ -444,18 +448,9 @@ impl<N: Numbers> Pdos<N> {
     pub fn read(&self, object: Object, node: Option<NodeId>) -> Result<u32, Abort> {
         use Direction::{Receive, Transmit};
         let (direction, part) = match object {
-            Object::SyncCobId if Self::IS_USED => return Ok(self.current.sync.cob_id().into()),
-            Object::CommunicationCyclePeriod if Self::IS_USED => {
-                return Ok(self.current.sync.period);
-            }
-            Object::SynchronousWindowLength if Self::IS_USED => {
-                return Ok(self.current.sync.window);
-            }
-            Object::SyncCounterOverflow if Self::IS_USED => {
-                return Ok(self.current.sync.overflow().into());
-            }
             Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
             Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
+            _ if Self::IS_USED => return self.current.sync.read(object).ok_or(Abort::NoObject),
             _ => return Err(Abort::NoObject),
         };
         let (at, sub_index) = (part.at(), part.sub_index());
@@ -479,20 +474,9 @@ impl<N: Numbers> Pdos<N> {
     ) -> Result<(), Abort> {
         use Direction::{Receive, Transmit};
         let (direction, part) = match object {
-            Object::SyncCobId if Self::IS_USED => return self.current.sync.set_cob_id(value),
-            Object::CommunicationCyclePeriod if Self::IS_USED => {
-                self.current.sync.period = value;
-                return Ok(());
-            }
-            Object::SynchronousWindowLength if Self::IS_USED => {
-                self.current.sync.window = value;
-                return Ok(());
-            }
-            Object::SyncCounterOverflow if Self::IS_USED => {
-                return self.current.sync.set_overflow(value as u8);
-            }
             Object::RpdoParameter(part) | Object::RpdoMapping(part) => (Receive, part),
             Object::TpdoParameter(part) | Object::TpdoMapping(part) => (Transmit, part),
+            _ if Self::IS_USED => return self.current.sync.write(object, value),
             _ => return Err(Abort::NoObject),
         };
         let (at, sub_index) = (part.at(), part.sub_index());

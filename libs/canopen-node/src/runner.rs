@@ -334,8 +334,8 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         }
     }
 
-    /// Passes the outcome of a store to the node.
-    pub fn handle_stored(&mut self, outcome: Result<(), StoreError>) {
+    /// Passes the outcome of a store to the node: the packed parameters that were stored, or why nothing was.
+    pub fn handle_stored(&mut self, outcome: Result<&[u8], StoreError>) {
         self.node.handle_stored(outcome);
         self.finish();
     }

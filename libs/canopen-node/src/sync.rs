@@ -21,12 +21,12 @@ const COUNTER_OVERFLOW: u16 = 0x1019;
 const MAX_OVERFLOW: u8 = 240;
 
 pub(crate) const ROWS: &[Entry] = &[
-    row(COB_ID, 0, Unsigned32, ReadWrite, Object::SyncCobId),
-    row(CYCLE_PERIOD, 0, Unsigned32, ReadWrite, Object::CommunicationCyclePeriod),
-    row(WINDOW_LENGTH, 0, Unsigned32, ReadWrite, Object::SynchronousWindowLength),
+    row(COB_ID, 0, Unsigned32, ReadWrite, Object::SyncCobId).stored(),
+    row(CYCLE_PERIOD, 0, Unsigned32, ReadWrite, Object::CommunicationCyclePeriod).stored(),
+    row(WINDOW_LENGTH, 0, Unsigned32, ReadWrite, Object::SynchronousWindowLength).stored(),
 ];
 pub(crate) const COUNTER_OVERFLOW_ROW: &[Entry] =
-    &[row(COUNTER_OVERFLOW, 0, Unsigned8, ReadWrite, Object::SyncCounterOverflow)];
+    &[row(COUNTER_OVERFLOW, 0, Unsigned8, ReadWrite, Object::SyncCounterOverflow).stored()];
 
 /// The error code of a SYNC whose length does not fit 1019h.
 pub(crate) const WRONG_LENGTH: u16 = crate::emergency::own::SYNC_LENGTH.code;
@@ -36,9 +36,9 @@ pub(crate) const WRONG_LENGTH: u16 = crate::emergency::own::SYNC_LENGTH.code;
 pub(crate) struct Sync {
     cob_id: u16,
     /// 1006h: the time between two SYNCs in microseconds, which only a producer needs.
-    pub period: u32,
+    period: u32,
     /// 1007h: the time after a SYNC in which synchronous PDOs are exchanged, in microseconds; 0: until the next SYNC.
-    pub window: u32,
+    window: u32,
     /// 1019h: 0, or the highest counter.
     overflow: u8,
 }
@@ -55,10 +55,6 @@ impl Sync {
         self.cob_id
     }
 
-    pub const fn overflow(&self) -> u8 {
-        self.overflow
-    }
-
     /// The counter of a SYNC, if it has one.
     ///
     /// # Errors
@@ -71,11 +67,37 @@ impl Sync {
         }
     }
 
+    /// The value of an object, if it is one of SYNC.
+    pub fn read(&self, object: Object) -> Option<u32> {
+        Some(match object {
+            Object::SyncCobId => self.cob_id.into(),
+            Object::CommunicationCyclePeriod => self.period,
+            Object::SynchronousWindowLength => self.window,
+            Object::SyncCounterOverflow => self.overflow.into(),
+            _ => return None,
+        })
+    }
+
+    /// Sets an object of SYNC.
+    ///
+    /// # Errors
+    /// Those of its value; [`Abort::NoObject`] for an object of another service.
+    pub fn write(&mut self, object: Object, value: u32) -> Result<(), Abort> {
+        match object {
+            Object::SyncCobId => self.set_cob_id(value)?,
+            Object::CommunicationCyclePeriod => self.period = value,
+            Object::SynchronousWindowLength => self.window = value,
+            Object::SyncCounterOverflow => self.set_overflow(value as u8)?,
+            _ => return Err(Abort::NoObject),
+        }
+        Ok(())
+    }
+
     /// Sets 1005h.
     ///
     /// # Errors
     /// [`Abort::InvalidValue`] for a producer (bit 30), a 29-bit identifier or a restricted CAN-ID.
-    pub fn set_cob_id(&mut self, value: u32) -> Result<(), Abort> {
+    fn set_cob_id(&mut self, value: u32) -> Result<(), Abort> {
         const NO_MEANING: u32 = 1 << 31;
         let id = (value & 0x7FF) as u16;
         if value & !(NO_MEANING | 0x7FF) != 0 || is_restricted(id) {
@@ -89,7 +111,7 @@ impl Sync {
     ///
     /// # Errors
     /// [`Abort::InvalidValue`] unless it is 0 or 2 to 240; [`Abort::DeviceState`] for another one while 1006h is not 0.
-    pub fn set_overflow(&mut self, overflow: u8) -> Result<(), Abort> {
+    fn set_overflow(&mut self, overflow: u8) -> Result<(), Abort> {
         if !matches!(overflow, 0 | 2..=MAX_OVERFLOW) {
             return Err(Abort::InvalidValue);
         }

@@ -72,7 +72,7 @@ impl<A: Application> Own<A> {
                 self.node.handle_sent(Services::of(service), Instant::from_micros(0));
             }
             Action::SetNodeId(_) | Action::SetReceives => self.receives = self.node.receives(),
-            Action::Store(_) => self.node.handle_stored(Ok(())),
+            Action::Store(_) => self.node.handle_stored(Ok(&[])),
             Action::SetBitRate(_) => {
                 self.node.handle_bus_event(BusEvent::Acknowledged, Instant::from_micros(0));
             }

@@ -1,19 +1,16 @@
-//! PDOs and heartbeat consumer, and a store of their parameters by 1010h.
+//! PDOs and heartbeat consumer.
 
 use core::mem;
 
-use super::stored::Configuration;
 use crate::{
     Application, Frame, Instant, NodeId,
     count::Declares,
-    emergency::{self, Emergency},
-    heartbeat::{self, Consumer},
-    nmt::{ErrorBehaviour, slave::NmtSlave},
+    emergency::Emergency,
+    heartbeat::{self, Consumer, Producers},
     numbers::Numbers,
     object_dictionary::{DefaultValue, Description, Entry, Object},
     pdo::{self, Pdos},
     sdo::Abort,
-    settings::parameters::{Packer, Parameter},
     sync,
 };
 
@@ -22,9 +19,6 @@ use crate::{
 pub(super) struct Communication<N: Numbers> {
     pub pdos: Pdos<N>,
     pub consumer: Consumer<N>,
-    persistent: Configuration<N>,
-    /// What the store in progress makes persistent, if that changes.
-    staged: Option<Configuration<N>>,
     /// The COB-IDs to receive have changed since the board was informed.
     has_new_receives: bool,
 }
@@ -34,16 +28,19 @@ impl<N: Numbers> Communication<N> {
     pub const IS_USED: bool = N::TPDOS + N::RPDOS + N::PRODUCERS > 0;
 
     /// The services as the application declares them. A wrong declaration does not compile.
-    pub const fn new<A: Application>(heartbeat_ms: u16) -> Self
+    pub const fn new<A: Application>() -> Self
     where
         N: Declares<A>,
     {
-        let declared = Configuration::declared::<A>(heartbeat_ms);
+        const {
+            assert!(
+                !Self::IS_USED || !A::OBJECTS.is_empty(),
+                "process data and the heartbeat consumer need an application with objects"
+            );
+        }
         Self {
-            pdos: Pdos::new(declared.pdos),
-            consumer: Consumer::new(declared.producers),
-            persistent: declared,
-            staged: None,
+            pdos: Pdos::new(pdo::Configuration::new(N::DECLARED_TPDOS, N::DECLARED_RPDOS)),
+            consumer: Consumer::new(Producers::new(N::DECLARED_PRODUCERS)),
             has_new_receives: false,
         }
     }
@@ -67,7 +64,7 @@ impl<N: Numbers> Communication<N> {
     where
         N: Declares<A>,
     {
-        let new = Self::new::<A>(0);
+        let new = Self::new::<A>();
         let default = move |entry: &Entry| {
             let value = |node| new.read(entry.object, NodeId::new(node)).unwrap_or_default();
             match (entry.object, value(1), value(2)) {
@@ -90,9 +87,20 @@ impl<N: Numbers> Communication<N> {
     /// Restarts as after power-on, with the persistent parameters.
     pub fn reset(&mut self) {
         if Self::IS_USED {
-            self.pdos.reset(&self.persistent.pdos);
-            self.consumer.reset(&self.persistent.producers);
+            self.pdos.reset();
+            self.consumer.reset();
             self.has_new_receives = false;
+        }
+    }
+
+    /// Makes the parameters persistent that the application declares.
+    pub fn forget_stored<A: Application>(&mut self)
+    where
+        N: Declares<A>,
+    {
+        if Self::IS_USED {
+            self.pdos.persistent = pdo::Configuration::new(N::DECLARED_TPDOS, N::DECLARED_RPDOS);
+            self.consumer.persistent = Producers::new(N::DECLARED_PRODUCERS);
         }
     }
 
@@ -167,74 +175,5 @@ impl<N: Numbers> Communication<N> {
             Object::SyncCobId | Object::ConsumerHeartbeatTime(_) | Object::RpdoParameter(_)
         );
         Ok(())
-    }
-
-    /// The greatest number of bytes that the stored parameters take.
-    pub const fn stored_len<A: Application>() -> usize
-    where
-        N: Declares<A>,
-    {
-        // A product has the length in a type, so that `cargo check` finds a wrong declaration here.
-        let _ = Configuration::<N>::declared::<A>(0);
-        Configuration::<N>::STORED_LEN
-    }
-
-    /// The producer heartbeat time to which a reset returns, in milliseconds.
-    pub const fn heartbeat_ms(&self) -> u16 {
-        self.persistent.heartbeat_ms
-    }
-
-    /// The error behaviour to which a reset returns.
-    pub const fn error_behaviour(&self) -> ErrorBehaviour {
-        self.persistent.error_behaviour
-    }
-
-    /// The parameters of emergency messages to which a reset returns.
-    pub const fn emergency(&self) -> emergency::Configuration {
-        self.persistent.emergency
-    }
-
-    /// Takes a stored parameter in place of the declared one, if it belongs to communication and is legal; returns
-    /// whether it was taken.
-    pub fn restore<A: Application>(&mut self, parameter: &Parameter<'_>) -> bool {
-        let is_taken = self.persistent.take(parameter, A::OBJECTS).is_some();
-        self.reset();
-        is_taken
-    }
-
-    /// Begins a store of the current parameters.
-    pub fn stage(&mut self, nmt: &NmtSlave, emergency: emergency::Configuration) {
-        let current = Configuration {
-            pdos: *self.pdos.configuration(),
-            producers: *self.consumer.producers(),
-            heartbeat_ms: nmt.heartbeat_ms(),
-            error_behaviour: nmt.error_behaviour(),
-            emergency,
-        };
-        self.staged.insert(current).pdos.remove_unused();
-    }
-
-    /// Begins a store that removes the parameters, so that the declared ones apply.
-    pub fn stage_declared<A: Application>(&mut self, heartbeat_ms: u16)
-    where
-        N: Declares<A>,
-    {
-        self.staged = Some(Configuration::declared::<A>(heartbeat_ms));
-    }
-
-    /// Packs the parameters of the store in progress.
-    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
-        if let Some(staged) = &self.staged {
-            staged.save::<A>(to);
-        }
-    }
-
-    /// Ends the store in progress, if it concerns these parameters.
-    pub fn end_store(&mut self, is_done: bool) {
-        if let Some(staged) = self.staged.take()
-            && is_done
-        {
-            self.persistent = staged;
-        }
     }
 }

@@ -26,10 +26,7 @@ impl<A: Application> Node<A> {
     fn reset_communication(&mut self) -> Action {
         self.slave.reset_communication();
         self.nmt.reset_communication();
-        let communication = &mut self.product.communication;
-        self.nmt.configure(communication.heartbeat_ms(), communication.error_behaviour());
-        self.emergency.configure(communication.emergency());
-        communication.reset();
+        self.reset_parameters();
         self.storing.verification.reset();
         self.frames_dropped();
         self.end_sdo();

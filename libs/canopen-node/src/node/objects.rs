@@ -29,6 +29,23 @@ impl<A: Application> Node<A> {
         !self.slave.bit_rate().is_switching() && self.nmt.serves_sdo()
     }
 
+    /// The objects, for accesses at `now`, and their server.
+    pub(super) const fn objects(
+        &mut self,
+        now: Instant,
+    ) -> (NodeObjects<'_, A>, &mut sdo::Server<A::SdoBuffer>) {
+        let objects = NodeObjects {
+            slave: &mut self.slave,
+            nmt: &mut self.nmt,
+            emergency: &mut self.emergency,
+            storing: &mut self.storing,
+            product: &mut self.product,
+            now,
+            effects: Tasks::NONE,
+        };
+        (objects, &mut self.sdo)
+    }
+
     pub(super) fn sdo_request_cob_id(&self) -> Option<u16> {
         self.node_id().map(|id| sdo::REQUEST_COB_ID + u16::from(id.get()))
     }
@@ -71,16 +88,8 @@ impl<A: Application> Node<A> {
         if A::PROGRAM_DOWNLOAD && self.holds_answer(now) {
             return None;
         }
-        let mut objects = NodeObjects {
-            slave: &mut self.slave,
-            nmt: &mut self.nmt,
-            emergency: &mut self.emergency,
-            storing: &mut self.storing,
-            product: &mut self.product,
-            now,
-            effects: Tasks::NONE,
-        };
-        let answer = self.sdo.poll(&mut objects, now);
+        let (mut objects, sdo) = self.objects(now);
+        let answer = sdo.poll(&mut objects, now);
         let effects = objects.effects;
         self.agenda.add(effects);
         if effects.has(Task::Pdos) {
@@ -268,7 +277,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
                 Err(Abort::NotStored)
             }
             (Object::VerifyConfiguration(sub_index), value) => {
-                self.storing.verification.write(sub_index, value);
+                self.storing.verification.current.write(sub_index, value);
                 Ok(Some(confirmation))
             }
             (object @ (Object::PendingNodeId | Object::PendingBitRate), value)
@@ -408,7 +417,7 @@ impl<A: Application> NodeObjects<'_, A> {
     }
 
     /// The value of an object, if it is a number.
-    fn number(&mut self, entry: &Entry) -> Option<u32> {
+    pub(super) fn number(&mut self, entry: &Entry) -> Option<u32> {
         match self.read(entry) {
             Ok(Content::Number(number)) => Some(number),
             _ => None,

@@ -1,6 +1,6 @@
 //! The product around the protocol: its description, its application and its process data.
 
-use super::communication::Communication;
+use super::{communication::Communication, stored::Persistent};
 use crate::{Application, BitRate, Device, NodeId, application::Event, nmt};
 
 #[derive(Clone, Debug)]
@@ -8,6 +8,7 @@ pub(super) struct Product<A: Application> {
     pub device: Device,
     pub application: A,
     pub communication: Communication<A::Numbers>,
+    pub persistent: Persistent,
     /// The NMT state and the bit rate that the application knows.
     known: (nmt::State, BitRate),
 }
@@ -19,7 +20,8 @@ impl<A: Application> Product<A> {
         Self {
             device,
             application,
-            communication: Communication::new::<A>(device.heartbeat_ms),
+            communication: Communication::new::<A>(),
+            persistent: Persistent::declared::<A>(device.heartbeat_ms),
             known,
         }
     }

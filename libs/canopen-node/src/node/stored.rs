@@ -1,116 +1,162 @@
-//! The parameters of communication that 1010h stores (CiA 301, 7.5.2.13): numbers, and each PDO as a whole.
+//! The values that 1010h stores (CiA 301, 7.5.2.13): those of rows with this option, and each PDO as a whole.
 
+use lss_slave::bytes::copy;
+
+use super::{
+    Node, START, areas::Area, communication::Communication, objects::NodeObjects, product::Product,
+    verification::Stamp,
+};
 use crate::{
     Application,
     cob_id::CobId,
-    count::Declares,
     emergency,
-    heartbeat::Producers,
     nmt::ErrorBehaviour,
     numbers::Numbers,
-    object_dictionary::{
-        DataType::{Unsigned8, Unsigned16, Unsigned32},
-        Entry,
-    },
+    object_dictionary::{Entry, Object, TABLE},
     pdo::{self, Pdos},
-    settings::parameters::{HEADER, Packer, Parameter},
+    settings::parameters::{self, HEADER, Packer, Parameter},
 };
 
-const U8: u8 = Unsigned8 as u8;
-const U16: u8 = Unsigned16 as u8;
-const U32: u8 = Unsigned32 as u8;
-
-/// The parameters that 1010h stores.
+/// The persistent parameters of a node without process data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Configuration<N: Numbers> {
-    pub pdos: pdo::Configuration<N>,
-    pub producers: Producers<N>,
+pub(super) struct Persistent {
     pub heartbeat_ms: u16,
     pub error_behaviour: ErrorBehaviour,
     pub emergency: emergency::Configuration,
 }
 
-impl<N: Numbers> Configuration<N> {
-    /// The greatest number of bytes that the stored parameters take.
-    pub const STORED_LEN: usize = {
-        let of_every_node = 4 * HEADER + 2 + 1 + 4 + 2;
-        let of_sync = if Pdos::<N>::IS_USED { 4 * HEADER + 4 + 1 + 4 + 4 } else { 0 };
-        let of_rpdos = N::RPDOS * (HEADER + 2) + pdo::Configuration::<N>::STORED_LEN;
-        of_every_node + of_sync + N::PRODUCERS * (HEADER + 4) + of_rpdos
-    };
+/// The greatest number of bytes that the stored values of the node take.
+pub(super) const fn len<A: Application>() -> usize {
+    let mut sum = len_of(TABLE);
+    if Communication::<A::Numbers>::IS_USED {
+        let mut tables: &[&[Entry]] = &A::Numbers::TABLES;
+        while let [table, others @ ..] = tables {
+            sum += len_of(table);
+            tables = others;
+        }
+        sum += pdo::Configuration::<A::Numbers>::STORED_LEN;
+    }
+    sum
+}
 
+/// The number of bytes that the stored values of a table take.
+const fn len_of(mut table: &[Entry]) -> usize {
+    let mut sum = 0;
+    while let [entry, others @ ..] = table {
+        if entry.options.is_stored() {
+            sum += HEADER + entry.data_type.size() as usize;
+        }
+        table = others;
+    }
+    sum
+}
+
+impl<A: Application> Node<A> {
+    /// Makes these packed parameters the persistent ones, and all others the declared ones.
+    pub(super) fn replace_persistent(&mut self, parameters: &[u8]) {
+        let Product { device, communication, persistent, .. } = &mut self.product;
+        *persistent = Persistent::declared::<A>(device.heartbeat_ms);
+        communication.forget_stored::<A>();
+        self.storing.verification.persistent = Stamp::NONE;
+        let mut objects = self.objects(START).0;
+        parameters::unpack(parameters).for_each(|parameter| _ = objects.take(&parameter));
+    }
+
+    /// Gives the parameters of communication their persistent values.
+    pub(super) fn reset_parameters(&mut self) {
+        let Persistent { heartbeat_ms, error_behaviour, emergency } = self.product.persistent;
+        self.nmt.configure(heartbeat_ms, error_behaviour);
+        self.emergency.configure(emergency);
+        self.product.communication.reset();
+    }
+}
+
+impl Persistent {
     /// The parameters of a new device with this producer heartbeat time.
-    pub const fn declared<A: Application>(heartbeat_ms: u16) -> Self
-    where
-        N: Declares<A>,
-    {
-        const {
-            assert!(
-                N::TPDOS + N::RPDOS + N::PRODUCERS == 0 || !A::OBJECTS.is_empty(),
-                "process data and the heartbeat consumer need an application with objects"
-            );
-        }
-        Self {
-            pdos: pdo::Configuration::new(N::DECLARED_TPDOS, N::DECLARED_RPDOS),
-            producers: Producers::new(N::DECLARED_PRODUCERS),
-            heartbeat_ms,
-            error_behaviour: A::ERROR_BEHAVIOUR,
-            emergency: emergency::Configuration::DEFAULT,
-        }
+    pub const fn declared<A: Application>(heartbeat_ms: u16) -> Self {
+        let error_behaviour = A::ERROR_BEHAVIOUR;
+        Self { heartbeat_ms, error_behaviour, emergency: emergency::Configuration::DEFAULT }
     }
+}
 
-    /// Packs the parameters. A number at its default is left out, unless the application may declare another default.
-    pub fn save<A: Application>(&self, to: &mut Packer<'_>) {
-        // Taking an RPDO sets its event timer to 0.
-        self.pdos.save(to);
-        let mut put = |index, sub_index, data_type, value: &[u8], is_stored| {
-            if is_stored {
-                to.put(&Parameter { index, sub_index, data_type, value });
-            }
-        };
-        let Self { heartbeat_ms, error_behaviour, emergency, .. } = *self;
-        let is_default = [error_behaviour, A::ERROR_BEHAVIOUR] == [ErrorBehaviour::DEFAULT; 2];
-        put(0x1017, 0, U16, &heartbeat_ms.to_le_bytes(), true);
-        put(0x1029, 1, U8, &[error_behaviour as u8], !is_default);
-        let emergency::Configuration { cob_id, inhibit_time } = emergency;
-        let is_moved = cob_id != emergency::Configuration::DEFAULT.cob_id;
-        put(0x1014, 0, U32, &cob_id.stored().to_le_bytes(), is_moved);
-        put(0x1015, 0, U16, &inhibit_time.to_le_bytes(), inhibit_time != 0);
-        for (sub_index, producer) in (1..).zip(self.producers.values()) {
-            let is_declared = usize::from(sub_index) <= A::WATCHED.len();
-            put(0x1016, sub_index, U32, &producer.to_le_bytes(), is_declared || producer != 0);
+impl<A: Application> NodeObjects<'_, A> {
+    /// Packs the current values of an area.
+    pub fn save(&mut self, area: Area, to: &mut Packer<'_>) {
+        if Pdos::<A::Numbers>::IS_USED && area == Area::Communication {
+            // Taking an RPDO sets its event timer to 0.
+            self.product.communication.pdos.save(to);
         }
-        if Pdos::<N>::IS_USED {
-            let sync = &self.pdos.sync;
-            put(0x1005, 0, U32, &u32::from(sync.cob_id()).to_le_bytes(), true);
+        self.save_rows(TABLE, area, to);
+        if Communication::<A::Numbers>::IS_USED {
             // A counter is taken only before the period.
-            put(0x1019, 0, U8, &[sync.overflow()], true);
-            put(0x1006, 0, U32, &sync.period.to_le_bytes(), sync.period != 0);
-            put(0x1007, 0, U32, &sync.window.to_le_bytes(), sync.window != 0);
-        }
-        for (index, rpdo) in (0x1400..).zip(self.pdos.rpdos()) {
-            put(index, 5, U16, &rpdo.event_timer_ms.to_le_bytes(), rpdo.event_timer_ms != 0);
+            A::Numbers::TABLES.into_iter().rev().for_each(|table| self.save_rows(table, area, to));
         }
     }
 
-    /// Takes a stored parameter, if it belongs to communication and is legal.
-    pub fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
+    /// Packs the current values of a table in an area. A number at its default is left out, unless the application may
+    /// declare another default.
+    fn save_rows(&mut self, table: &[Entry], area: Area, to: &mut Packer<'_>) {
+        let is_stored = |entry: &&Entry| entry.options.is_stored() && Area::of(entry.index) == area;
+        for entry in table.iter().filter(is_stored) {
+            let number = match entry.object {
+                Object::CobIdEmergency => self.emergency.configuration.cob_id.stored(),
+                _ => self.number(entry).unwrap_or_default(),
+            };
+            let is_default = match entry.object {
+                Object::ProducerHeartbeatTime | Object::SyncCounterOverflow => false,
+                Object::CommunicationErrorBehaviour => {
+                    [number, A::ERROR_BEHAVIOUR as u32] == [ErrorBehaviour::DEFAULT as u32; 2]
+                }
+                Object::ConsumerHeartbeatTime(sub_index) => {
+                    number == 0 && usize::from(sub_index) > A::WATCHED.len()
+                }
+                Object::CobIdEmergency => {
+                    number == emergency::Configuration::DEFAULT.cob_id.stored()
+                }
+                _ => number == 0,
+            };
+            if !is_default {
+                let len = entry.data_type.size().into();
+                let place = to.reserve(entry.index, entry.sub_index, entry.data_type as u8, len);
+                copy(&number.to_le_bytes(), 0, place);
+            }
+        }
+    }
+
+    /// Takes a persistent value of the node, if it has it with this data type and the value is legal.
+    pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
-        let number_16 = || value.try_into().ok().map(u16::from_le_bytes);
-        let number_32 = || value.try_into().ok().map(u32::from_le_bytes);
-        match (index, sub_index, data_type) {
-            (0x1017, 0, U16) => self.heartbeat_ms = number_16()?,
-            (0x1029, 1, U8) => self.error_behaviour = ErrorBehaviour::new(*value.first()?)?,
-            (0x1014, 0, U32) => self.emergency.cob_id = CobId::from_stored(number_32()?)?,
-            (0x1015, 0, U16) => self.emergency.inhibit_time = number_16()?,
-            (0x1016, 1.., U32) => self.producers.set(sub_index, number_32()?).ok()?,
-            _ if !Pdos::<N>::IS_USED => return None,
-            (0x1005, 0, U32) => self.pdos.sync.set_cob_id(number_32()?).ok()?,
-            (0x1019, 0, U8) => self.pdos.sync.set_overflow(*value.first()?).ok()?,
-            (0x1006, 0, U32) => self.pdos.sync.period = number_32()?,
-            (0x1007, 0, U32) => self.pdos.sync.window = number_32()?,
-            (0x1400..0x1600, 5, U16) => self.pdos.rpdo(index)?.event_timer_ms = number_16()?,
-            _ => self.pdos.take(parameter, objects)?,
+        let table = Communication::<A::Numbers>::table(index).unwrap_or(TABLE);
+        let entry = table.iter().find(|row| (row.index, row.sub_index) == (index, sub_index))?;
+        let Product { communication, persistent, .. } = self.product;
+        if !entry.options.is_stored() {
+            return match Pdos::<A::Numbers>::IS_USED {
+                true => communication.pdos.persistent.take(parameter, A::OBJECTS),
+                false => None,
+            };
+        }
+        if entry.data_type as u8 != data_type || usize::from(entry.data_type.size()) != value.len()
+        {
+            return None;
+        }
+        let number = value.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
+        match entry.object {
+            Object::ProducerHeartbeatTime => persistent.heartbeat_ms = number as u16,
+            Object::CommunicationErrorBehaviour => {
+                persistent.error_behaviour = ErrorBehaviour::new(number as u8)?;
+            }
+            Object::CobIdEmergency => persistent.emergency.cob_id = CobId::from_stored(number)?,
+            Object::InhibitTimeEmergency => persistent.emergency.inhibit_time = number as u16,
+            Object::VerifyConfiguration(sub_index) => {
+                self.storing.verification.persistent.write(sub_index, number);
+            }
+            Object::ConsumerHeartbeatTime(sub_index) => {
+                communication.consumer.persistent.set(sub_index, number).ok()?;
+            }
+            object if Pdos::<A::Numbers>::IS_USED => {
+                communication.pdos.persistent.take_row(object, number)?;
+            }
+            _ => return None,
         }
         Some(())
     }

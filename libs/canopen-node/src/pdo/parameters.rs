@@ -19,7 +19,7 @@ pub struct Pdo {
     pub(super) transmission_type: u8,
     /// In multiples of 100 us.
     pub(super) inhibit_time: u16,
-    pub event_timer_ms: u16,
+    pub(super) event_timer_ms: u16,
     pub(super) sync_start_value: u8,
 }
 

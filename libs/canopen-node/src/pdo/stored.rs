@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     numbers::Numbers,
-    object_dictionary::Entry,
+    object_dictionary::{Entry, Object},
     settings::parameters::{HEADER, Packer, Parameter},
 };
 
@@ -34,22 +34,6 @@ impl<N: Numbers> Configuration<N> {
         N::RPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Receive) + MAX_MAPPED))
             + N::TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
-
-    /// Removes what is not stored: the entries of mappings that the PDO does not carry.
-    pub fn remove_unused(&mut self) {
-        let pdos = self.tpdos.as_mut().iter_mut().chain(self.rpdos.as_mut());
-        pdos.for_each(|pdo| pdo.mapping.remove_unused());
-    }
-
-    /// The RPDOs, that of 1400h first.
-    pub fn rpdos(&self) -> &[Pdo] {
-        self.rpdos.as_ref()
-    }
-
-    /// The RPDO whose communication parameter has this index.
-    pub fn rpdo(&mut self, index: u16) -> Option<&mut Pdo> {
-        self.rpdos.as_mut().get_mut(usize::from(index.checked_sub(RPDO_PARAMETER)?))
-    }
 
     /// Packs the PDOs, but for the event timers of RPDOs.
     pub fn save(&self, to: &mut Packer<'_>) {
@@ -64,18 +48,29 @@ impl<N: Numbers> Configuration<N> {
     /// Takes a stored PDO, if it is legal. One with a value that cannot be mapped stays as it is.
     pub fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
-        match (index, sub_index, data_type) {
+        let (direction, pdos, first) = match (index, sub_index, data_type) {
             (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
-                *self.rpdo(index)? = Pdo::from_stored(words(value)?, Direction::Receive, objects)?;
+                (Direction::Receive, self.rpdos.as_mut(), RPDO_PARAMETER)
             }
             (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
-                let tpdo =
-                    self.tpdos.as_mut().get_mut(usize::from(index.wrapping_sub(TPDO_PARAMETER)))?;
-                *tpdo = Pdo::from_stored(words(value)?, Direction::Transmit, objects)?;
+                (Direction::Transmit, self.tpdos.as_mut(), TPDO_PARAMETER)
             }
             _ => return None,
-        }
+        };
+        let pdo = pdos.get_mut(usize::from(index.wrapping_sub(first)))?;
+        *pdo = Pdo::from_stored(words(value)?, direction, objects)?;
         Some(())
+    }
+
+    /// Takes the stored value of a row, if it is legal.
+    pub fn take_row(&mut self, object: Object, value: u32) -> Option<()> {
+        match object {
+            Object::RpdoParameter(part) => {
+                self.rpdos.as_mut().get_mut(part.at())?.event_timer_ms = value as u16;
+                Some(())
+            }
+            _ => self.sync.write(object, value).ok(),
+        }
     }
 }
 

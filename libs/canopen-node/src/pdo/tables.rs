@@ -66,7 +66,7 @@ const fn rpdo_parameter(at: usize) -> [Entry; 4] {
         row(index, 0, Unsigned8, Const, Object::HighestSubIndex(5)),
         row(index, 1, Unsigned32, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 1))),
         row(index, 2, Unsigned8, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 2))),
-        row(index, 5, Unsigned16, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 5))),
+        row(index, 5, Unsigned16, ReadWrite, Object::RpdoParameter(PdoEntry::new(at, 5))).stored(),
     ]
 }
 

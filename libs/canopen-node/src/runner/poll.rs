@@ -45,7 +45,7 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         if let Some((settings, len)) = self.take_store(log.parameters(), &mut parameters) {
             let parameters = parameters.get(..len).unwrap_or_default();
             let outcome = log.store_with_parameters(settings, parameters);
-            self.handle_stored(outcome.map_err(StoreError::from));
+            self.handle_stored(outcome.map(|()| parameters).map_err(StoreError::from));
         }
     }
 }
