@@ -53,13 +53,13 @@ pub(crate) struct Pdos<N: Numbers> {
     pub persistent: Configuration<N>,
     tpdos: N::Tpdos<Transmission>,
     /// The TPDOs in use whose type is synchronous.
-    synchronous: Tpdos,
+    synchronous: Set,
     /// Those of them that do not answer each SYNC.
-    counting: Tpdos,
+    counting: Set,
     /// The other TPDOs in use.
-    event_driven: Tpdos,
+    event_driven: Set,
     /// The synchronous TPDOs that a SYNC has asked for, and the others that may have changed.
-    due: Tpdos,
+    due: Set,
     rpdos: N::Rpdos<Reception>,
     /// The latest SYNC had a wrong length.
     is_sync_wrong: bool,
@@ -75,6 +75,20 @@ impl<N: Numbers> Configuration<N> {
     /// The parameters of a device with these PDOs, without SYNC parameters.
     pub const fn new(tpdos: N::Tpdos<Pdo>, rpdos: N::Rpdos<Pdo>) -> Self {
         Self { tpdos, rpdos, sync: Sync::new() }
+    }
+
+    fn pdo(&self, direction: Direction, at: usize) -> Option<&Pdo> {
+        match direction {
+            Direction::Transmit => self.tpdos.as_ref().get(at),
+            Direction::Receive => self.rpdos.as_ref().get(at),
+        }
+    }
+
+    fn pdo_mut(&mut self, direction: Direction, at: usize) -> Option<&mut Pdo> {
+        match direction {
+            Direction::Transmit => self.tpdos.as_mut().get_mut(at),
+            Direction::Receive => self.rpdos.as_mut().get_mut(at),
+        }
     }
 }
 
@@ -121,10 +135,10 @@ impl<N: Numbers> Pdos<N> {
             current: configuration,
             persistent: configuration,
             tpdos: List::UNUSED,
-            synchronous: Tpdos::NONE,
-            counting: Tpdos::NONE,
-            event_driven: Tpdos::NONE,
-            due: Tpdos::NONE,
+            synchronous: Set::NONE,
+            counting: Set::NONE,
+            event_driven: Set::NONE,
+            due: Set::NONE,
             rpdos: List::UNUSED,
             is_sync_wrong: false,
             window_end: None,
@@ -148,8 +162,8 @@ impl<N: Numbers> Pdos<N> {
     }
 
     fn stop(&mut self) {
-        (self.synchronous, self.counting) = (Tpdos::NONE, Tpdos::NONE);
-        (self.event_driven, self.due) = (Tpdos::NONE, Tpdos::NONE);
+        (self.synchronous, self.counting) = (Set::NONE, Set::NONE);
+        (self.event_driven, self.due) = (Set::NONE, Set::NONE);
         self.tpdos.as_mut().fill(Transmission::UNUSED);
         self.rpdos.as_mut().fill(Reception::UNUSED);
         (self.window_end, self.is_window_over) = (None, false);
@@ -189,6 +203,16 @@ impl<N: Numbers> Pdos<N> {
         }
     }
 
+    /// The state of a TPDO, and its parameters.
+    fn tpdo(&mut self, at: usize) -> Option<(&mut Transmission, &Pdo)> {
+        Some((self.tpdos.as_mut().get_mut(at)?, self.current.tpdos.as_ref().get(at)?))
+    }
+
+    /// The states of the RPDOs with their numbers, from 1, and their parameters.
+    fn rpdos(&mut self) -> impl Iterator<Item = (u8, (&mut Reception, &Pdo))> {
+        (1..).zip(self.rpdos.as_mut().iter_mut().zip(self.current.rpdos.as_ref()))
+    }
+
     /// The COB-ID of SYNC, if there are PDOs.
     pub fn sync_cob_id(&self) -> Option<u16> {
         Self::IS_USED.then(|| self.current.sync.cob_id())
@@ -196,12 +220,8 @@ impl<N: Numbers> Pdos<N> {
 
     /// The COB-ID of an RPDO, if it is valid.
     pub fn rpdo_cob_id(&self, at: usize, node: Option<NodeId>) -> Option<u16> {
-        self.current
-            .rpdos
-            .as_ref()
-            .get(at)?
-            .cob_id
-            .active(base(Direction::Receive, at), Some(node?))
+        let pdo = self.current.pdo(Direction::Receive, at)?;
+        pdo.cob_id.active(base(Direction::Receive, at), Some(node?))
     }
 
     /// Follows the NMT state: PDOs live in NMT operational.
@@ -265,16 +285,15 @@ impl<N: Numbers> Pdos<N> {
         errors: &mut Emergency,
         now: Instant,
     ) {
-        for (number, (rpdo, pdo)) in
-            (1..).zip(self.rpdos.as_mut().iter_mut().zip(self.current.rpdos.as_ref()))
-        {
+        let is_window_over = self.is_window_over;
+        for (number, (rpdo, pdo)) in self.rpdos() {
             if !rpdo.receives(frame.cob_id()) {
                 continue;
             }
             if let Some(code) = rpdo.check_length(pdo, frame) {
                 errors.report(PROCESS_DATA, code, COMMUNICATION, [number, 0, 0, 0, 0]);
             }
-            if rpdo.handle(pdo, frame, application, self.is_window_over, now) {
+            if rpdo.handle(pdo, frame, application, is_window_over, now) {
                 application.handle(Event::Received(number));
             }
         }
@@ -297,9 +316,7 @@ impl<N: Numbers> Pdos<N> {
             }
             return;
         };
-        for (number, (rpdo, pdo)) in
-            (1..).zip(self.rpdos.as_mut().iter_mut().zip(self.current.rpdos.as_ref()))
-        {
+        for (number, (rpdo, pdo)) in self.rpdos() {
             if rpdo.handle_sync(pdo, application) {
                 application.handle(Event::Received(number));
             }
@@ -309,8 +326,7 @@ impl<N: Numbers> Pdos<N> {
         self.is_window_over = false;
         self.due.add_all(self.synchronous.without(self.counting));
         for at in self.counting {
-            if let (Some(tpdo), Some(pdo)) =
-                (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
+            if let Some((tpdo, pdo)) = self.tpdo(at)
                 && tpdo.handle_sync(pdo, counter)
             {
                 self.due.add(at);
@@ -381,11 +397,7 @@ impl<N: Numbers> Pdos<N> {
             }
         }
         while let Some(at) = self.due.take_first() {
-            let (Some(tpdo), Some(pdo)) =
-                (self.tpdos.as_mut().get_mut(at), self.current.tpdos.as_ref().get(at))
-            else {
-                continue;
-            };
+            let Some((tpdo, pdo)) = self.tpdo(at) else { continue };
             let sent = if pdo.transmission_type <= 240 {
                 tpdo.answer_sync(pdo, application).map(|frame| (frame, false))
             } else {
@@ -425,22 +437,6 @@ impl<N: Numbers> Pdos<N> {
             .reduce(Instant::earlier)
     }
 
-    fn pdo(&self, direction: Direction, at: usize) -> Result<&Pdo, Abort> {
-        let pdos: &[Pdo] = match direction {
-            Direction::Transmit => self.current.tpdos.as_ref(),
-            Direction::Receive => self.current.rpdos.as_ref(),
-        };
-        pdos.get(at).ok_or(Abort::NoObject)
-    }
-
-    fn pdo_mut(&mut self, direction: Direction, at: usize) -> Result<&mut Pdo, Abort> {
-        let pdos: &mut [Pdo] = match direction {
-            Direction::Transmit => self.current.tpdos.as_mut(),
-            Direction::Receive => self.current.rpdos.as_mut(),
-        };
-        pdos.get_mut(at).ok_or(Abort::NoObject)
-    }
-
     /// The value of an object of PDOs or SYNC.
     ///
     /// # Errors
@@ -454,7 +450,7 @@ impl<N: Numbers> Pdos<N> {
             _ => return Err(Abort::NoObject),
         };
         let (at, sub_index) = (part.at(), part.sub_index());
-        let pdo = self.pdo(direction, at)?;
+        let pdo = self.current.pdo(direction, at).ok_or(Abort::NoObject)?;
         Ok(match object {
             Object::RpdoMapping(_) | Object::TpdoMapping(_) => pdo.mapping.value(sub_index),
             _ => pdo.parameter(direction, sub_index, base(direction, at), node),
@@ -480,7 +476,7 @@ impl<N: Numbers> Pdos<N> {
             _ => return Err(Abort::NoObject),
         };
         let (at, sub_index) = (part.at(), part.sub_index());
-        let pdo = self.pdo_mut(direction, at)?;
+        let pdo = self.current.pdo_mut(direction, at).ok_or(Abort::NoObject)?;
         if let Object::RpdoMapping(_) | Object::TpdoMapping(_) = object {
             return pdo.set_mapping(direction, sub_index, value, objects);
         }
@@ -489,7 +485,7 @@ impl<N: Numbers> Pdos<N> {
             Receive => self.start_rpdo(at, node),
             Transmit => {
                 if sub_index == INHIBIT_TIME
-                    && let Some(tpdo) = self.tpdos.as_mut().get_mut(at)
+                    && let Some((tpdo, _)) = self.tpdo(at)
                 {
                     tpdo.end_inhibit_time();
                 }
@@ -514,9 +510,9 @@ impl Element for Reception {
 
 /// A set of TPDOs.
 #[derive(Clone, Copy, Debug)]
-struct Tpdos(u16);
+struct Set(u16);
 
-impl Tpdos {
+impl Set {
     const NONE: Self = Self(0);
 
     const fn is_empty(self) -> bool {
@@ -561,7 +557,7 @@ impl Tpdos {
     }
 }
 
-impl Iterator for Tpdos {
+impl Iterator for Set {
     type Item = usize;
 
     fn next(&mut self) -> Option<usize> {

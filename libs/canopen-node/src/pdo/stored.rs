@@ -48,16 +48,12 @@ impl<N: Numbers> Configuration<N> {
     /// Takes a stored PDO, if it is legal. One with a value that cannot be mapped stays as it is.
     pub fn take(&mut self, parameter: &Parameter<'_>, objects: &'static [Entry]) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
-        let (direction, pdos, first) = match (index, sub_index, data_type) {
-            (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => {
-                (Direction::Receive, self.rpdos.as_mut(), RPDO_PARAMETER)
-            }
-            (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => {
-                (Direction::Transmit, self.tpdos.as_mut(), TPDO_PARAMETER)
-            }
+        let (direction, first) = match (index, sub_index, data_type) {
+            (RPDO_PARAMETER..RPDO_MAPPING, 0, PDO) => (Direction::Receive, RPDO_PARAMETER),
+            (TPDO_PARAMETER..TPDO_MAPPING, 0, PDO) => (Direction::Transmit, TPDO_PARAMETER),
             _ => return None,
         };
-        let pdo = pdos.get_mut(usize::from(index.wrapping_sub(first)))?;
+        let pdo = self.pdo_mut(direction, usize::from(index.wrapping_sub(first)))?;
         *pdo = Pdo::from_stored(words(value)?, direction, objects)?;
         Some(())
     }
@@ -66,7 +62,7 @@ impl<N: Numbers> Configuration<N> {
     pub fn take_row(&mut self, object: Object, value: u32) -> Option<()> {
         match object {
             Object::RpdoParameter(part) => {
-                self.rpdos.as_mut().get_mut(part.at())?.event_timer_ms = value as u16;
+                self.pdo_mut(Direction::Receive, part.at())?.event_timer_ms = value as u16;
                 Some(())
             }
             _ => self.sync.write(object, value).ok(),
