@@ -4,7 +4,6 @@ mod bench;
 mod chip_variants;
 mod conformance;
 mod figures;
-mod fuzz;
 #[cfg(target_os = "linux")]
 mod linux;
 mod no_harm;
@@ -34,7 +33,6 @@ enum Command {
     ChipVariants(chip_variants::Arguments),
     Conformance(conformance::Arguments),
     Figures(figures::Arguments),
-    Fuzz(fuzz::Arguments),
     #[cfg(target_os = "linux")]
     Linux(linux::Arguments),
     NoHarm(no_harm::Arguments),
@@ -49,7 +47,6 @@ fn main() -> ExitCode {
         Command::ChipVariants(arguments) => chip_variants::run(&arguments),
         Command::Conformance(arguments) => conformance::run(&arguments),
         Command::Figures(_) => figures::run(),
-        Command::Fuzz(arguments) => fuzz::run(&arguments),
         #[cfg(target_os = "linux")]
         Command::Linux(arguments) => linux::run(&arguments),
         Command::NoHarm(arguments) => no_harm::run(&arguments),

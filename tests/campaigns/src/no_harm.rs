@@ -3,11 +3,10 @@
 mod draw;
 mod judge;
 mod life;
-mod minimise;
 mod situation;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     time::{Duration, Instant},
 };
 
@@ -17,12 +16,9 @@ use emulator::{Time, chip::Part};
 use testkit::{parallel, random::Random};
 
 use judge::{Failure, Images, Verdict};
-use situation::Situation;
 
 /// The interval between lines of progress.
 const PROGRESS: Duration = Duration::from_secs(5);
-/// The number of failing situations that are minimised and printed, one of each kind and failure.
-const PRINTED: usize = 6;
 
 /// Check in random situations that supervision of the bit rate never does harm
 ///
@@ -48,7 +44,7 @@ const PRINTED: usize = 6;
 /// were disturbed. Such a situation is repeated with 32 other deviations of the crystals: the board must be in time about
 /// as often as the plain slave.
 ///
-/// The first failing situations are minimised and printed as a list of events, with the seed that replays them.
+/// A failing situation is printed with the seed that replays it.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -61,9 +57,6 @@ pub struct Arguments {
     /// Run only the situation with this seed, and print its events
     #[arg(long, value_name = "SEED", conflicts_with_all = ["situations", "seed"])]
     replay: Option<u64>,
-    /// Run it also with this number of other deviations of the boards' crystals
-    #[arg(long, value_name = "NUMBER", requires = "replay", default_value_t = 0)]
-    deviations: u32,
     /// The chip on the boards
     #[arg(long, default_value = testkit::image::PART.name())]
     chip: Part,
@@ -78,12 +71,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         product: testkit::image::build(part)?,
     };
     match arguments.replay {
-        Some(seed) => replay(&images, seed, arguments.deviations),
+        Some(seed) => replay(&images, seed),
         None => campaign(&images, arguments),
     }
 }
 
-fn replay(images: &Images, seed: u64, deviations: u32) -> anyhow::Result<()> {
+fn replay(images: &Images, seed: u64) -> anyhow::Result<()> {
     let situation = draw::situation(seed);
     println!("{}\n{situation}", situation.kind);
     let verdict = images.judge(&situation);
@@ -91,21 +84,10 @@ fn replay(images: &Images, seed: u64, deviations: u32) -> anyhow::Result<()> {
         println!("  {line}");
     }
     println!("{} rescued, worst delay {} ms", verdict.rescued, verdict.worst_delay.as_ms());
-    if let Some(failure) = verdict.failures.first() {
-        println!("{}", smaller(images, seed, failure));
+    for failure in &verdict.failures {
+        println!("{failure}");
     }
-    let mut failed = u32::from(!verdict.failures.is_empty());
-    let deviating: Vec<_> = (1..=deviations.cast_signed())
-        .map(|step| Situation { drift_ppm: step * judge::DRIFT_PPM, ..situation.clone() })
-        .collect();
-    let judge = |situation: &Situation| images.judge(situation).failures;
-    parallel::map(&deviating, judge, |index, failures| {
-        failures
-            .iter()
-            .for_each(|failure| println!("{} ppm: {failure}", deviating[index].drift_ppm));
-        failed += u32::from(!failures.is_empty());
-    });
-    ensure!(failed == 0, "the situation fails in {failed} of {} runs", deviations + 1);
+    ensure!(verdict.failures.is_empty(), "the situation fails");
     Ok(())
 }
 
@@ -147,7 +129,6 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let mut all = Tally::default();
     let mut kinds: BTreeMap<&str, Tally> = BTreeMap::new();
-    let mut failed = Vec::new();
     let mut reported = begin;
     let judge = |seed: &u64| images.judge(&draw::situation(*seed));
     parallel::map(&seeds, judge, |index, verdict| {
@@ -156,20 +137,12 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
         kinds.entry(kind).or_default().add(&verdict);
         if let Some(failure) = verdict.failures.first() {
             println!("--replay {}: {kind}: {failure}", seeds[index]);
-            failed.push((index, kind, failure.clone()));
         }
         if reported.elapsed() >= PROGRESS {
             reported = Instant::now();
             println!("{}, {} s", all.text(), begin.elapsed().as_secs());
         }
     });
-    failed.sort_by_key(|(index, ..)| *index);
-    let mut kinds_of_failure = BTreeSet::new();
-    failed.retain(|(_, kind, failure)| kinds_of_failure.insert((*kind, failure.name())));
-    failed.truncate(PRINTED);
-    let smaller =
-        |(index, _, failure): &(usize, &str, Failure)| smaller(images, seeds[*index], failure);
-    parallel::map(&failed, smaller, |_, text| println!("{text}"));
     println!();
     for (kind, tally) in kinds {
         println!("{kind:18} {}", tally.text());
@@ -177,17 +150,4 @@ fn campaign(images: &Images, arguments: &Arguments) -> anyhow::Result<()> {
     println!("\n{}, {} s, seed {seed}", all.text(), begin.elapsed().as_secs());
     ensure!(all.worse + all.not_found == 0, "supervision does harm, or does not help");
     Ok(())
-}
-
-/// The smallest variant of a seed's situation that still fails in the same way, as text.
-fn smaller(images: &Images, seed: u64, failure: &Failure) -> String {
-    let same = |other: &Failure| other.name() == failure.name();
-    let fails = |smaller: &Situation| images.judge(smaller).failures.iter().any(same);
-    let smaller = minimise::minimise(draw::situation(seed), fails);
-    let mut text =
-        format!("\n{} (cargo verify no-harm --replay {seed}), minimised:\n{smaller}", smaller.kind);
-    for failure in images.judge(&smaller).failures {
-        text.push_str(&format!("\n  {failure}"));
-    }
-    text
 }

@@ -66,6 +66,9 @@ pub fn run() -> anyhow::Result<()> {
     if let Some(line) = lines.next() {
         bail!("QEMU has `{line}` where the emulator's session has ended");
     }
+    // Found, commissioned, stored, and still so after a restart.
+    let end = ours.last().map(|(_, _, frame)| frame.to_string());
+    ensure!(end.as_deref() == Some("7E4#5E05000000000000"), "the node-ID is not there at the end");
     println!("The two agree. Times are in ms; QEMU is {version}.");
     Ok(())
 }

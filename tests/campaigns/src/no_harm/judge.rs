@@ -30,7 +30,7 @@ const AT_ONCE: Time = Time::from_s(1);
 /// The number of times that both images are tried again, the step of the crystals' deviation, and the number of times
 /// that the product may be in time less often.
 const PHASES: i32 = 32;
-pub const DRIFT_PPM: i32 = 7;
+const DRIFT_PPM: i32 = 7;
 const BY_CHANCE: usize = 10;
 /// The time after which an unreached plain slave counts as lost.
 const PATIENCE: Time = Time::from_s(3);
@@ -56,7 +56,7 @@ pub struct Verdict {
 }
 
 /// A violated requirement.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum Failure {
     /// The product is not reached in time, where the plain slave is reached after its time or lost.
     Late { board: usize, plain: Option<Time>, ours: Option<Time>, limit: Time },
@@ -70,16 +70,6 @@ impl Failure {
     /// Whether the plain slave is lost, too.
     pub const fn is_not_found(&self) -> bool {
         matches!(self, Self::Late { plain: None, .. })
-    }
-
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Late { plain: None, .. } => "not found",
-            Self::Late { ours: Some(_), .. } => "reached late",
-            Self::Late { ours: None, .. } => "not reached",
-            Self::Outcome { .. } => "outcome",
-            Self::Offence(_) => "offence",
-        }
     }
 }
 

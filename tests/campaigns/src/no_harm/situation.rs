@@ -9,7 +9,7 @@ use emulator::{Time, network::Short};
 pub const SWITCH_LEAD_MS: u32 = 100;
 
 /// Boards, events and the time at which the master starts to look for the boards.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Situation {
     /// The main subject.
     pub kind: &'static str,
@@ -22,7 +22,7 @@ pub struct Situation {
 }
 
 /// The settings stored in a board; its number in the list is that of its unique id.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Node {
     pub node_id: Option<u8>,
     pub stored: BitRate,
@@ -30,7 +30,7 @@ pub struct Node {
 }
 
 /// An event, with its start and end in milliseconds since power-on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Event {
     pub at: u32,
     /// The end; equal to `at` for an event without one.
@@ -112,7 +112,7 @@ pub enum Traffic {
 }
 
 /// The master's search for the boards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Probe {
     /// The start in milliseconds.
     pub at: u32,
