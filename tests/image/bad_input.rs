@@ -1,66 +1,10 @@
-//! The release image under adverse input: frames of any kind, damaged flash, and a bus without nodes or at the wrong
-//! rate.
+//! The release image with a damaged flash, and on a bus without nodes or with a short circuit.
 
 use std::fs;
 
 use testkit::{cargo::workspace, settings::record};
 
 use crate::rig::*;
-
-const LSS: Id = Id::Standard(0x7E5);
-
-/// The answer of a node that understood `frame` in configuration state: an inquiry of the node-ID.
-fn inquiry(id: Id) -> Frame {
-    Frame::data(id, &[0x5E, 0, 0, 0, 0, 0, 0, 0])
-}
-
-/// Node 40 in configuration state, on which the frames sent must have no effect.
-fn configured() -> ImageRig {
-    let mut rig = node_40(0);
-    rig.lss("04 01");
-    rig
-}
-
-/// Sends these frames without a pause and checks that there is no answer and no change.
-fn assert_ignored(rig: &mut ImageRig, frames: &[Frame]) {
-    let from = rig.network.now();
-    frames.iter().for_each(|&frame| rig.network.send(rig.master, frame));
-    rig.send_all();
-    assert_eq!(rig.collect(Time::from_ms(10)), SILENCE);
-    assert_eq!(rig.did(0, from).next(), None);
-    assert_eq!(rig.lss("5E"), ["5E 40"], "still in configuration state");
-}
-
-#[test]
-fn only_eight_bytes_in_a_base_format_data_frame_are_a_request() {
-    let mut rig = configured();
-    for dlc in (0..=15).filter(|&dlc| dlc != 8) {
-        assert_ignored(&mut rig, &[inquiry(LSS).with_dlc(dlc)]);
-    }
-    for dlc in 0..=15 {
-        assert_ignored(&mut rig, &[Frame::remote(LSS, dlc)]);
-    }
-    for id in [0x7E5, 0x7E5 << 18, 0x1F95_0000 | 0x7E5, 0x0000_07E5 << 3, 0x1FFF_FFFF, 0] {
-        assert_ignored(&mut rig, &[inquiry(Id::Extended(id))]);
-        assert_ignored(&mut rig, &[Frame::remote(Id::Extended(id), 8)]);
-    }
-    for id in [0x7E4, 0x7E6, 0x7E7, 0x7ED, 0x3E5, 0x5C0] {
-        assert_ignored(&mut rig, &[inquiry(Id::Standard(id))]);
-    }
-}
-
-#[test]
-fn an_nmt_command_of_another_form_or_for_another_node_is_ignored() {
-    let mut rig = configured();
-    let reset = Frame::data(Id::Standard(0), &[0x81, 0x00, 0, 0, 0, 0, 0, 0]);
-    let mut frames: Vec<Frame> =
-        (0..=15).filter(|&dlc| dlc != 2).map(|dlc| reset.with_dlc(dlc)).collect();
-    frames.extend((0..=15).map(|dlc| Frame::remote(Id::Standard(0), dlc)));
-    frames.push(Frame::data(Id::Extended(0), &[0x81, 0x00]));
-    frames.push(Frame::data(Id::Standard(0), &[0x81, 0x41]));
-    frames.push(Frame::data(Id::Standard(0), &[0x7F, 0x00]));
-    assert_ignored(&mut rig, &frames);
-}
 
 #[test]
 fn other_data_in_the_flash_is_erased_without_an_emergency() {

@@ -3,6 +3,7 @@
 //! `cargo test --test image block_transfer:: -- --nocapture` prints the shares.
 
 use example_io::application as io;
+use testkit::image::example;
 
 use crate::rig::*;
 
@@ -66,4 +67,24 @@ fn a_domain_with_a_wrong_byte_or_length_is_refused() {
         // The rest of the block follows the abort, and is refused.
         rig.collect(Time::from_ms(50));
     }
+}
+
+#[test]
+fn a_client_may_confirm_a_block_while_it_is_sent() {
+    // The slow core leaves the bus to the client after two segments.
+    let variant = chip(ChipVariant { slowdown: 10, ..ChipVariant::default() });
+    let mut board = Board::new(PART, example(), variant);
+    board.set_flash(SETTINGS_OFFSET, &flash_with(&[settings(NODE_ID, BitRate::Kbit1000)]));
+    let mut rig = ImageRig::new(BitRate::Kbit1000, [board]);
+    rig.collect(Time::from_ms(50));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A4 02 21 00 7F 00")));
+    rig.collect(Time::from_ms(2));
+    rig.transmit(on_the_wire(&sdo::request(NODE_ID, "A3")));
+    let (_, first) = rig.next_frame();
+    rig.queue(&sdo::request(NODE_ID, "A2 02 7F"));
+    let (_, second) = rig.next_frame();
+    let (_, third) = rig.next_frame();
+    let number = |frames: &Frames| frames.0[0].data()[0];
+    assert_eq!((number(&first), number(&second), number(&third)), (1, 2, 1), "it goes on behind");
+    assert_ne!(first.0[0].data()[1..], third.0[0].data()[1..]);
 }

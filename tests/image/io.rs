@@ -99,8 +99,7 @@ fn map_pdo(rig: &mut ImageRig, index: u16, cob_id: u32, mapped: &[u32]) {
     write(index, 1, &cob_id.to_le_bytes());
 }
 
-/// The button, the temperature, and the values of the echo test as entries of a mapping, and four bytes without effect.
-const BUTTON: u32 = 0x6000_0108;
+/// The temperature and the values of the echo test as entries of a mapping, and four bytes without effect.
 const ECHO_SENT: u32 = 0x2103_0108;
 const ECHO_RETURNED: u32 = 0x2103_0208;
 const TEMPERATURE: u32 = 0x6401_0110;
@@ -172,46 +171,6 @@ fn the_temperature_is_sent_with_its_delta_and_its_event_timer() {
 }
 
 #[test]
-fn stored_deadlines_and_emergency_parameters_hold_after_a_power_cut() {
-    let mut rig = node_1();
-    // 1014h becomes 0FFh, by way of no COB-ID; then 1015h, 1006h, 1007h, 1400h sub 5, and 1010h sub 1.
-    let parameters = ["23 14 10 00 81 00 00 80", "23 14 10 00 FF 00 00 00", "2B 15 10 00 02 00"];
-    write(&mut rig, &parameters);
-    let deadlines = ["23 06 10 00 E8 03 00 00", "23 07 10 00 F4 01 00 00", "2B 00 14 05 32 00"];
-    write(&mut rig, &deadlines);
-    write(&mut rig, &["23 10 10 01 73 61 76 65"]);
-    rig.power_cycle(0);
-    assert_eq!(rig.collect(Time::from_ms(20)), ["701: 00"]);
-    let stored = [(0x1014, 0xFF), (0x1015, 2), (0x1006, 1000), (0x1007, 500)];
-    assert_eq!(stored.map(|(index, _)| (index, read(&mut rig, index, 0))), stored);
-    assert_eq!(read(&mut rig, 0x1400, 5), 50);
-
-    rig.nmt("01 01");
-    rig.transmit(data(0x201, &[1]));
-    assert_eq!(of(0x0FF, &rig.collect(Time::from_ms(45))), SILENCE);
-    let late = of(0x0FF, &rig.collect(Time::from_ms(20)));
-    assert!(matches!(late.0[..], [late] if late.data()[..2] == [0x50, 0x82]), "{late:?}");
-    rig.transmit(data(0x201, &[1]));
-    let ended = of(0x0FF, &rig.collect(Time::from_ms(20)));
-    assert!(matches!(ended.0[..], [ended] if ended.data()[..2] == [0, 0]), "{ended:?}");
-}
-
-#[test]
-fn a_master_without_lss_gives_the_example_a_node_id_and_a_bit_rate() {
-    let mut rig = ImageRig::new(BitRate::Kbit1000, [example_board(settings(1, BitRate::Kbit1000))]);
-    rig.collect(SAMPLE);
-    // Node-ID 9 and 250 kbit/s in 2FF0h, then 1010h.
-    write(&mut rig, &["2F F0 2F 01 09", "2B F0 2F 02 FA 00", "23 10 10 01 73 61 76 65"]);
-    assert_eq!(rig.sdo_client(1).download(0x2FF0, 1, &[128]), Err(0x0609_0030));
-    assert_eq!(rig.nmt("82 01"), ["709: 00"]);
-    rig.power_cycle(0);
-    rig.set_master_bit_rate(BitRate::Kbit250);
-    rig.collect(Time::from_ms(20));
-    let mut client = rig.sdo_client(9);
-    assert_eq!([1, 2].map(|sub_index| client.number(0x2FF0, sub_index)), [9, 250]);
-}
-
-#[test]
 fn a_larger_filter_constant_slows_the_temperature() {
     let times = ["2F 00 21 00 00", "2F 00 21 00 06"].map(|request| {
         let mut rig = operational();
@@ -224,23 +183,6 @@ fn a_larger_filter_constant_slows_the_temperature() {
         rig.network.now() - from
     });
     assert!(times[0] < Time::from_ms(60) && times[1] > Time::from_ms(500), "{times:?}");
-}
-
-#[test]
-fn a_wrong_length_that_repeats_before_its_message_is_sent_is_one_error() {
-    let mut rig = node_1();
-    let without_tpdos =
-        ["23 00 18 01 00 00 00 80", "23 01 18 01 00 00 00 80", "23 10 10 01 73 61 76 65"];
-    write(&mut rig, &without_tpdos);
-    // The boot-up, which comes before the error messages, has to wait for these.
-    rig.send("000: 82 01, 000: 01 01");
-    for len in [0, 1, 0, 1, 2] {
-        rig.network.send(rig.master, data(0x201, &[1; 2][..len]));
-    }
-    let errors = of(0x081, &rig.collect(Time::from_ms(20))).texts();
-    let too_short = errors.iter().filter(|text| text.starts_with("081: 10 82"));
-    assert_eq!(too_short.count(), 1, "{errors:?}");
-    assert_eq!(read(&mut rig, 0x1003, 0), 2, "too short, and too long");
 }
 
 /// An acknowledge that is lost would end all emergency messages: the next one waits for it.
@@ -317,31 +259,6 @@ fn moved_cob_ids_are_received_and_all_others_cost_no_interrupt() {
     // The samples of the application empty the FIFO that shows that there is traffic.
     assert!(foreign < idle + idle / 5, "{foreign}, idle {idle}");
     assert!(own > 10 * idle, "{own}, idle {idle}");
-}
-
-#[test]
-fn each_of_four_tpdos_has_its_event_timer_and_inhibit_time() {
-    // In ms: the event timer, the inhibit time, and the period that follows from both.
-    for tpdos in [
-        [(300, 0, 300), (100, 0, 100), (200, 0, 200), (50, 100, 100)],
-        [(0, 0, 0), (0, 100, 0), (0, 0, 0), (50, 0, 50)],
-    ] {
-        let mut rig = node_1();
-        for ((index, cob_id), (event_ms, inhibit_ms, _)) in (0x1800..).zip(0x181_u32..).zip(tpdos) {
-            map_pdo(&mut rig, index, 1 << 31 | cob_id, &[BUTTON]);
-            let mut client = rig.sdo_client(1);
-            for (sub_index, value) in [(3, 10 * inhibit_ms), (5, event_ms)] {
-                assert_eq!(client.download(index, sub_index, &u16::to_le_bytes(value)), Ok(()));
-            }
-            assert_eq!(client.download(index, 1, &cob_id.to_le_bytes()), Ok(()));
-        }
-        rig.transmit_command("01 01");
-        let sent = rig.collect(Time::from_ms(3_030));
-        for (cob_id, (_, _, period_ms)) in (0x181..).zip(tpdos) {
-            let count = 1 + 3_000_usize.checked_div(period_ms).unwrap_or(0);
-            assert_eq!(of(cob_id, &sent).0.len(), count, "{period_ms} ms");
-        }
-    }
 }
 
 #[test]

@@ -13,10 +13,8 @@ mod rare_moments;
 mod rare_searches;
 mod rates_bus_off;
 mod rates_detection;
-mod rates_rescue;
 mod rig;
 mod robustness;
-mod session;
 mod uptime;
 
 /// The image under test.

@@ -9,7 +9,7 @@ use std::{
 use ::conformance::{
     APPLICATION_LAYER, Bench, Group, Lab, Line, OWN, Report,
     eds::Eds,
-    lss::{Feature, LSS, Target},
+    lss::{LSS, Target},
 };
 use anyhow::{Context, ensure};
 use can_bus::{
@@ -37,24 +37,10 @@ use xtask::example::{self, Example};
 const BIT_RATE: BitRate = BitRate::Kbit500;
 const NODE: u8 = 5;
 
-/// The cases of `--quick`.
-const QUICK: [&str; 10] = [
-    "SDO",
-    "OD",
-    "Emergency",
-    "Heartbeat 01",
-    "Testing other 0",
-    "Transition 01",
-    "LSS states",
-    "LSS bit rate 0",
-    "LSS store",
-    "LSS frames",
-];
-
 /// Run the cases of a conformance test of CANopen against release images
 ///
 /// The cases have the numbers and purposes of CiA's Conformance Test Tool, and are driven by the data sheet of the
-/// image as the tool's are: docs/conformance.md. Beside them are cases of our own, and those of LSS, which run on up to
+/// image as the tool's are: docs/conformance.md. Beside them are cases of our own, and those of LSS, which run on
 /// five boards. They run on the emulated bus in virtual time; `cargo hil --conformance` runs the same cases on a real
 /// adapter.
 ///
@@ -81,21 +67,9 @@ pub struct Arguments {
     /// The crystal on the board of --elf, in MHz
     #[arg(long, default_value_t = 8, value_name = "MHZ", value_parser = clap::value_parser!(u8).range(4..=26), requires = "elf")]
     crystal: u8,
-    /// Run the default image of every chip, quickly; the builds take minutes
-    #[arg(long, conflicts_with_all = ["image", "elf", "chip"])]
-    chips: bool,
-    /// Leave out the services that no chip can change: PDO, SYNC, guarding, and long waits for heartbeats
-    #[arg(long)]
-    quick: bool,
     /// Run only these cases; can be repeated
     #[arg(long, value_enum)]
     chapter: Vec<Chapter>,
-    /// What the device lacks, for the LSS chapter; can be repeated or separated by commas
-    #[arg(long, value_name = "FEATURE", value_delimiter = ',')]
-    without: Vec<Feature>,
-    /// The number of boards on the bus, for the LSS chapter: 1 to 5
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=5))]
-    boards: u8,
     /// Run only the cases whose number begins so, such as "PDO 23" or PDO; can be repeated
     #[arg(long, value_name = "NUMBER")]
     case: Vec<String>,
@@ -179,19 +153,18 @@ struct Product {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begin = Instant::now();
     let mut reports = Vec::new();
-    let wanted = wanted(arguments);
     let is_wanted = |chapter: &Chapter| {
         let is_named = arguments.chapter.is_empty() || arguments.chapter.contains(chapter);
-        is_named && ::conformance::has_case(chapter.groups(), &wanted)
+        is_named && ::conformance::has_case(chapter.groups(), &arguments.case)
     };
     for product in products(arguments)? {
         for chapter in Chapter::ALL.into_iter().filter(is_wanted) {
-            let report = test(&product, chapter, &wanted, arguments)?;
+            let report = test(&product, chapter, arguments)?;
             println!();
             reports.push(report);
         }
     }
-    ensure!(!reports.is_empty(), "no case begins with {}", wanted.join(" or "));
+    ensure!(!reports.is_empty(), "no case begins with {}", arguments.case.join(" or "));
     for report in &reports {
         println!("{}", report.summary());
     }
@@ -225,7 +198,6 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
         return Ok(vec![Product { name, chip, board, image, eds }]);
     }
     let images: Vec<(ImageName, Part)> = match &arguments.image[..] {
-        _ if arguments.chips => Part::F4.map(|chip| (ImageName::Default, chip)).to_vec(),
         [] => [ImageName::Default, ImageName::Io].map(|name| (name, arguments.chip)).to_vec(),
         names => names.iter().map(|name| (*name, arguments.chip)).collect(),
     };
@@ -239,27 +211,14 @@ fn products(arguments: &Arguments) -> anyhow::Result<Vec<Product>> {
     images.into_iter().map(product).collect()
 }
 
-/// The beginnings of the numbers of the wanted cases; empty: all.
-fn wanted(arguments: &Arguments) -> Vec<String> {
-    match &arguments.case[..] {
-        [] if arguments.quick || arguments.chips => QUICK.map(str::to_owned).to_vec(),
-        wanted => wanted.to_vec(),
-    }
-}
-
-fn test(
-    product: &Product,
-    chapter: Chapter,
-    wanted: &[String],
-    arguments: &Arguments,
-) -> anyhow::Result<Report> {
-    let boards = if chapter == Chapter::Lss { arguments.boards.into() } else { 1 };
+fn test(product: &Product, chapter: Chapter, arguments: &Arguments) -> anyhow::Result<Report> {
+    let boards = if chapter == Chapter::Lss { UNIQUE_IDS.len() } else { 1 };
     let mut bus = Bus::new(product, boards);
     let mut bench = Bench::new(Line::Lab(&mut bus), &product.eds, NODE);
-    bench.lss = Target::new(addresses(product, boards), BIT_RATE, arguments.without.clone());
+    bench.lss = Target::new(addresses(product, boards), BIT_RATE, Vec::new());
     let mut report = Report::new(format!("{}, {}", product.name, chapter.name()));
     println!("{}", report.device);
-    ::conformance::run(&mut bench, chapter.groups(), wanted, &mut report, |finding| {
+    ::conformance::run(&mut bench, chapter.groups(), &arguments.case, &mut report, |finding| {
         println!("{}", finding.line());
         if arguments.frames {
             println!("{}", finding.frames().join("\n"));
