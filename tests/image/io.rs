@@ -261,57 +261,6 @@ fn moved_cob_ids_are_received_and_all_others_cost_no_interrupt() {
     assert!(own > 10 * idle, "{own}, idle {idle}");
 }
 
-#[test]
-fn no_pdo_begins_after_the_end_of_operational() {
-    // The node reads the command in the three bits after it, in which another frame of its may begin.
-    const READ: Time = Time::from_us(10);
-    for end in ["02 01", "80 00"] {
-        let mut rig = busier_node();
-        let other = rig.network.add_adapter(Adapter::new(1_000_000));
-        rig.transmit(data(0x080, &[]));
-        for _ in 0..30 {
-            rig.network.send(other, data(0x010, &[0; 8]));
-        }
-        rig.network.run_for(Time::from_us(500));
-        let ended = rig.transmit_command(end);
-        rig.network.run_for(Time::from_ms(20));
-        let begun = |cob_id: u16| {
-            let sent = rig.sent(ended + READ + Time::from_ps(1));
-            sent.filter(|sent| sent.frame.id == Id::Standard(cob_id)).count()
-        };
-        assert!(begun(0x010) > 10, "the bus was full");
-        assert_eq!([0x181, 0x281, 0x381, 0x481].map(begun), [0; 4], "{end}");
-        assert!(begun(0x701) > 0, "other services go on");
-    }
-}
-
-#[test]
-fn heartbeats_go_on_after_a_tpdo_behind_one_was_dropped() {
-    const PERIOD: Time = Time::from_ms(103);
-    const ROUNDS: u64 = 5;
-    let settings = settings(1, BitRate::Kbit10).with_heartbeat_ms(PERIOD.as_ms() as u16);
-    let mut rig = ImageRig::new(BitRate::Kbit10, [example_board(settings)]);
-    rig.collect(Time::from_ms(100));
-    for round in 0..ROUNDS {
-        rig.nmt("01 01");
-        rig.collect(Time::from_ms(200));
-        let from = rig.network.now();
-        while rig.requested(0, from).all(|(_, frame)| frame.id != Id::Standard(0x701)) {
-            rig.network.run_for(Time::from_us(100));
-        }
-        // The heartbeat is on the bus now, and the command follows it. The sample of the button comes at another moment
-        // in each round.
-        rig.network.run_for(Time::from_us(500));
-        press(&rig, round % 2 == 0);
-        rig.send("000: 80 01");
-        let sent = rig.collect(PERIOD * 4);
-        assert!(of(0x701, &sent).0.len() >= 3, "round {round}: {sent:?}");
-    }
-    let is_dropped = |event: &&Event| matches!(event.what, What::Aborted { .. });
-    let dropped = rig.network.trace().iter().filter(is_dropped).count();
-    assert!(dropped > 0, "in no round a TPDO waited");
-}
-
 fn note(what: &str, spans: &[u64], most: u64) {
     let (least, worst) = (spans.iter().min().unwrap(), spans.iter().max().unwrap());
     let us = *worst as f64 / CORE_MHZ as f64;
