@@ -139,3 +139,17 @@ fn a_board_that_is_driven_bus_off_recovers_and_reports_it() {
         assert!(rig.has_logged("CAN: recovered from bus-off"));
     }
 }
+
+#[test]
+fn a_board_that_was_left_alone_reports_error_passive_and_its_end_once() {
+    let mut rig = rig_with(settings(0x40, BitRate::Kbit500).with_heartbeat_ms(100));
+    rig.collect(Time::from_ms(50));
+    for span in [Time::from_ms(300), Time::from_s(5)] {
+        rig.network.adapter_mut(rig.master).close();
+        rig.network.run_for(span);
+        rig.network.adapter_mut(rig.master).open();
+        let mut sent = rig.collect(Time::from_s(2)).texts();
+        sent.retain(|text| text.starts_with("0C0"));
+        assert_eq!(sent, ["0C0: 20 81 11 00 00 00 00 00", "0C0: 00 00 00 00 00 00 00 00"]);
+    }
+}

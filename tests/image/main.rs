@@ -10,7 +10,6 @@ mod commissioning;
 mod controllers;
 mod damaged_log;
 mod do_no_harm;
-mod errors;
 mod halted;
 mod indicators;
 mod io;

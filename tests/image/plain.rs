@@ -7,7 +7,6 @@ mod can_traps;
 mod chip_traps;
 mod commissioning;
 mod controllers;
-mod errors;
 mod halted;
 mod indicators;
 mod medium_faults;

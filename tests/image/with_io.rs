@@ -3,7 +3,6 @@
 mod can_traps;
 mod chip_traps;
 mod commissioning;
-mod errors;
 mod halted;
 mod medium_faults;
 mod node_id;
