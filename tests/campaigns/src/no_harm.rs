@@ -15,7 +15,7 @@ use emulator::{Time, chip::Part};
 
 use testkit::{parallel, random::Random};
 
-use judge::{Failure, Images, Verdict};
+use judge::{Images, Verdict};
 
 /// The interval between lines of progress.
 const PROGRESS: Duration = Duration::from_secs(5);
