@@ -27,8 +27,8 @@ pub struct Timing {
     /// the slaves' answer times. It decides how long a Fastscan takes. After 16 answers it shrinks to half of the
     /// variation that was seen, and after contradictions it grows up to `answer`.
     pub margin: u32,
-    /// The pause after a request that has no answer. It grows, and stays so, if a slave seems to lose frames that come
-    /// back to back.
+    /// The pause after a request that has no answer. It grows up to `answer`, and stays so, if a slave seems to lose
+    /// frames that come back to back.
     pub gap: u32,
 }
 
@@ -345,8 +345,9 @@ impl Exchange {
         // The first attempt may have an answer yet.
         self.awaits_all |= may_many_answer(&self.service);
         if self.service.len() > 1 {
-            // A slave may have lost frames that came back to back.
-            self.gap = self.gap.saturating_mul(4).max(master.timing.margin);
+            // A slave may have lost frames that came back to back; one that was without power looks the same.
+            let longer = self.gap.saturating_mul(4).max(master.timing.margin);
+            self.gap = self.gap.max(longer.min(master.timing.answer));
         }
         self.sent = 0;
         self.is_alone = true;

@@ -353,6 +353,21 @@ fn a_repeated_single_request_does_not_slow_a_selection_down() {
 }
 
 #[test]
+fn the_pauses_of_a_selection_grow_to_the_wait_for_an_answer_at_most() {
+    // The slave has just lost its power before each selection.
+    let mut count = 0;
+    let (_, bus) = run(
+        move |request| {
+            count += u32::from(request[0] == 0x43);
+            empty(0x44).filter(|_| request[0] == 0x43 && count % 2 == 0)
+        },
+        Steps::of((0..8).map(|_| Step::Ask(Service::Select(ADDRESS)))),
+    );
+    let last = |command| *bus.times(&[command]).last().expect("it is sent");
+    assert_eq!(last(0x43) - last(0x42), 200_000);
+}
+
+#[test]
 fn a_repeated_question_of_a_scan_waits_little_longer_than_the_slowest() {
     let begin = || Step::ask(FASTSCAN);
     let mut is_first = true;
