@@ -415,6 +415,10 @@ fn taking() -> Rig {
 
 /// The board has its node-ID, or waits for the button and nothing of it is in the table.
 fn expect_both(rig: &mut Rig, cut: impl Debug) {
+    while rig.cut.is_some() {
+        rig.run_for(Time::from_ms(50));
+    }
+    // A board that has lost its power and has no node-ID yet is asked ten seconds later at most.
     rig.run_for(Time::from_s(15));
     if rig.settle() == State::New {
         assert_eq!((rig.node_ids(), rig.table()), (vec![Some(1), None], table(&[1])), "{cut:?}");
