@@ -1,8 +1,12 @@
 //! Program download (CiA 302-3) at the node.
 
 use canopen_node::{
-    Action, Application, Confirmation, Instant, Node, Program, application::Domain, nmt,
-    object_dictionary::DataType, objects, sdo::Abort,
+    Action, Application, Instant, Node, Program,
+    application::Domain,
+    nmt,
+    object_dictionary::DataType,
+    objects,
+    sdo::{Abort, Answer},
 };
 use testkit::{
     frames::{Frames, SILENCE},
@@ -16,7 +20,7 @@ struct Download {
     /// What a client has written.
     bytes: Vec<u8>,
     is_full: bool,
-    kept: Option<Confirmation>,
+    ends: usize,
     aborts: usize,
     requests: usize,
     answers: usize,
@@ -24,7 +28,7 @@ struct Download {
 
 impl Download {
     const NONE: Self =
-        Self { bytes: Vec::new(), is_full: false, kept: None, aborts: 0, requests: 0, answers: 0 };
+        Self { bytes: Vec::new(), is_full: false, ends: 0, aborts: 0, requests: 0, answers: 0 };
 }
 
 impl Program for Download {
@@ -32,19 +36,11 @@ impl Program for Download {
         u32::from(index) % 0x100 + u32::from(sub_index)
     }
 
-    fn control(
-        &mut self,
-        value: u8,
-        state: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
+    fn control(&mut self, value: u8, state: nmt::State) -> Result<Answer, Abort> {
         assert_eq!(state, nmt::State::PreOperational);
         match value {
-            0 => Ok(Some(answer)),
-            1 => {
-                self.kept = Some(answer);
-                Ok(None)
-            }
+            0 => Ok(Answer::Now),
+            1 => Ok(Answer::Later),
             _ => Err(Abort::InvalidValue),
         }
     }
@@ -55,10 +51,10 @@ impl Program for Download {
         Ok(())
     }
 
-    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, Abort> {
+    fn end(&mut self, len: u32) -> Result<Answer, Abort> {
         assert_eq!(len as usize, self.bytes.len());
-        self.kept = Some(answer);
-        Ok(None)
+        self.ends += 1;
+        Ok(Answer::Later)
     }
 
     fn grant(&mut self) -> u8 {
@@ -117,11 +113,6 @@ impl Loader {
     pub fn set_full(&mut self, is_full: bool) {
         self.download.is_full = is_full;
     }
-
-    /// The answer that the program has kept.
-    pub fn take_kept(&mut self) -> Option<Confirmation> {
-        self.download.kept.take()
-    }
 }
 
 impl Application for Loader {
@@ -150,10 +141,9 @@ fn send(board: &mut Board, requests: &[&str]) -> Frames {
     answers
 }
 
-/// Gives the answer that the program has kept.
+/// Gives the answer that the program has put off.
 fn give(board: &mut Board, outcome: Result<(), Abort>) -> Frames {
-    let answer = download(board).kept.take().expect("it was kept");
-    Frames(match board.node.answer(answer, outcome) {
+    Frames(match board.node.answer(outcome) {
         Some(Action::Transmit(frame, _)) => vec![frame],
         _ => Vec::new(),
     })
@@ -266,8 +256,8 @@ fn a_program_shorter_than_announced_is_none() {
     let mut board = board();
     let answer = send(&mut board, &["C2 50 1F 01 03", "81 01 02", "D5"]);
     assert_eq!(answer, ["5C0: 80 50 1F 01 13 00 07 06"]);
-    assert!(download(&mut board).kept.is_none());
-    assert_eq!(download(&mut board).aborts, 1);
+    assert_eq!((download(&mut board).ends, download(&mut board).aborts), (0, 1));
+    assert_eq!(give(&mut board, Ok(())), SILENCE);
 }
 
 #[test]
@@ -279,6 +269,32 @@ fn program_control_is_answered_at_once_or_later() {
     assert_eq!(give(&mut board, Ok(())), ["5C0: 60 51 1F 01 00 00 00 00"]);
     let Download { requests, answers, .. } = *download(&mut board);
     assert_eq!((requests, answers), (3, 3));
+    assert_eq!(give(&mut board, Ok(())), SILENCE, "each has one answer");
+}
+
+#[test]
+fn a_program_whose_end_has_no_answer_yet_is_answered_no_more_once_the_next_is_refused() {
+    let mut board = board();
+    send(&mut board, &["C2 50 1F 01 02", "81 01 02", "D5"]);
+    send(&mut board, &["21 50 1F 01 09", "80 50 1F 01"]);
+    assert_eq!(give(&mut board, Ok(())), SILENCE);
+}
+
+#[test]
+fn program_control_and_a_store_that_both_take_time_are_each_answered() {
+    let mut board = board();
+    board.let_stores_take_time();
+    assert_eq!(send(&mut board, &["2F 51 1F 01 01"]), SILENCE);
+    assert_eq!(send(&mut board, &["23 10 10 01 73 61 76 65"]), SILENCE);
+    assert_eq!(give(&mut board, Ok(())), ["5C0: 60 51 1F 01 00 00 00 00"]);
+    assert_eq!(board.finish_store(), ["5C0: 60 10 10 01 00 00 00 00"]);
+}
+
+#[test]
+fn a_loader_answers_what_a_program_has_left_to_it() {
+    let mut board = board();
+    board.node.owe_control();
+    assert_eq!(give(&mut board, Ok(())), ["5C0: 60 51 1F 01 00 00 00 00"]);
 }
 
 #[test]
@@ -304,13 +320,8 @@ impl Program for Controlled {
         0
     }
 
-    fn control(
-        &mut self,
-        _: u8,
-        _: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
-        Ok(Some(answer))
+    fn control(&mut self, _: u8, _: nmt::State) -> Result<Answer, Abort> {
+        Ok(Answer::Now)
     }
 }
 

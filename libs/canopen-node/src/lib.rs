@@ -71,7 +71,7 @@ pub use lss_slave::{
     BitRate, BitRateSetting, BitRates, BusEvent, Deadline, Frame, Instant, InvalidNodeId, NodeId,
     Settings, bit_rate, lss, settings,
 };
-pub use node::{Action, Confirmation, Node, Program, Receives, Service, Services};
+pub use node::{Action, Node, Program, Receives, Service, Services};
 pub use numbers::Numbers;
 #[doc(hidden)]
 pub use pastey;

@@ -28,18 +28,18 @@ use crate::{
     nmt::{self, Command, slave::NmtSlave},
     numbers::{List, Numbers},
     object_dictionary::{self, DefaultValue, Description, Entry, Object},
-    sdo::{self, Message, Objects},
+    sdo::{self, Abort, Message, Objects},
     settings::parameters::{Packer, Parameter},
 };
 pub use action::Action;
 use agenda::{Agenda, Task, Tasks};
-use areas::{Area, Change, Download};
+use areas::{Area, Change, Owed};
 use communication::Communication;
 use objects::NodeObjects;
 pub use outgoing::{Service, Services};
 use periodic::Periodic;
 use product::Product;
-pub use program::{Confirmation, Program};
+pub use program::Program;
 pub use receives::Receives;
 use settings_object::Written;
 use verification::Verification;
@@ -84,7 +84,7 @@ struct Storing {
     /// LSS store configuration requests that have not been answered.
     lss_requests: u8,
     /// An SDO request whose store has not begun.
-    sdo_request: Option<Download>,
+    sdo_request: Option<Owed>,
     verification: Verification,
     written: Written,
 }
@@ -100,14 +100,14 @@ enum Store {
 #[derive(Clone, Copy, Debug)]
 enum Requester {
     Lss,
-    Sdo(Download),
+    Sdo(Owed),
     /// An SDO client that a reset or its abort has cancelled.
-    Nobody(Download),
+    Nobody(Owed),
 }
 
 impl Storing {
     /// The SDO download that the store in progress carries out; `None` for one for LSS.
-    const fn download(&self) -> Option<Download> {
+    const fn download(&self) -> Option<Owed> {
         match self.store {
             Store::Running(_, Requester::Sdo(download) | Requester::Nobody(download)) => {
                 Some(download)
@@ -395,7 +395,7 @@ impl<A: Application> Node<A> {
                 (Change::Renew, _) if area == Area::Application => {
                     areas::save(&self.product.application, &mut packer);
                 }
-                (Change::Renew, Some(Download { sub_index, .. })) => {
+                (Change::Renew, Some(Owed { sub_index, .. })) => {
                     let is_right = self.storing.verification.is_right_after(sub_index);
                     if area == Area::Communication || is_right {
                         self.objects(START).0.save(area, &mut packer);
@@ -568,9 +568,7 @@ impl<A: Application> Node<A> {
                 }
                 // Unless the NMT state has changed since the request.
                 Requester::Sdo(download) if self.serves_sdo() => {
-                    let Download { index, sub_index, confirmation } = download;
-                    let failed = |error| Message::store_failed(index, sub_index, error);
-                    let answer = outcome.map_or_else(failed, |()| confirmation);
+                    let answer = download.answer(outcome.map_err(Abort::from));
                     return self.sdo_frame(answer).map(Action::sdo);
                 }
                 Requester::Sdo(_) | Requester::Nobody(_) => {}

@@ -16,8 +16,7 @@ pub use controller::{BusError, Controller, Mode, Received, Sample};
 pub use poll::Wake;
 
 use crate::{
-    Action, Application, BitRate, BusEvent, Confirmation, Frame, Instant, Node, Service, Services,
-    Settings,
+    Action, Application, BitRate, BusEvent, Frame, Instant, Node, Service, Services, Settings,
     application::NoApplication,
     emergency::Fault,
     indicator::{self, BusState, Indicators, Lit},
@@ -143,9 +142,9 @@ impl<C: Controller, S: System, A: Application> Runner<C, S, A> {
         self.bus_state == BusState::BusOff
     }
 
-    /// Answers an SDO download, as [`Node::answer`] does.
-    pub fn answer(&mut self, confirmation: Confirmation, outcome: Result<(), Abort>) {
-        if let Some(answer) = self.node.answer(confirmation, outcome) {
+    /// Gives the answer to an SDO download that was put off, as [`Node::answer`] does.
+    pub fn answer(&mut self, outcome: Result<(), Abort>) {
+        if let Some(answer) = self.node.answer(outcome) {
             self.act(answer);
         }
         self.finish();

@@ -16,6 +16,7 @@ use crate::{
     object_dictionary::{Entry, Missing},
 };
 pub(crate) use block_download::BLOCK_SIZE;
+pub use objects::Answer;
 #[doc(hidden)]
 pub use objects::Buffer;
 pub(crate) use objects::{Content, Objects};
@@ -172,15 +173,6 @@ impl Message {
         Self::new(0x80, address, code as u32)
     }
 
-    /// The message that ends the download of an object whose store has failed.
-    pub const fn store_failed(index: u16, sub_index: u8, error: StoreError) -> Self {
-        let code = match error {
-            StoreError::Full => Abort::DeviceState,
-            _ => Abort::Hardware,
-        };
-        Self::abort(Address { index, sub_index }, code)
-    }
-
     /// The message that confirms the download of an object.
     pub const fn confirmation(index: u16, sub_index: u8) -> Self {
         Self::new(0x60, Address { index, sub_index }, 0)
@@ -203,6 +195,15 @@ impl Message {
     const fn payload(self) -> [u8; 7] {
         let [_, payload @ ..] = self.to_bytes();
         payload
+    }
+}
+
+impl From<StoreError> for Abort {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::Full => Self::DeviceState,
+            _ => Self::Hardware,
+        }
     }
 }
 

@@ -1,12 +1,13 @@
 //! The loader: a node with the objects of program download, whose code lies in RAM.
 
-use core::mem::MaybeUninit;
+use core::mem::{self, MaybeUninit};
 
 use canopen_node::{
-    Application, BitRate, Confirmation, Count, Device, Instant, Node,
+    Application, BitRate, Count, Device, Instant, Node,
     application::{Dictionary, Event},
     lss::StoreError,
-    nmt, sdo,
+    nmt,
+    sdo::{self, Answer},
     settings::Log,
 };
 use cortex_m::{asm, peripheral::NVIC};
@@ -66,10 +67,8 @@ fn now() -> u32 {
 /// The application of the loader.
 pub struct Loader {
     updater: &'static mut State,
-    /// The answer to the end of a download.
-    answer: Option<Confirmation>,
-    /// The answer that the program has left.
-    owed: Option<Confirmation>,
+    /// The program has left its answer to the loader.
+    owes_answer: bool,
     /// An SDO answer has been given that nobody may have acknowledged.
     is_answering: bool,
     /// The segments of a block while the flash keeps up.
@@ -106,25 +105,19 @@ impl canopen_node::Program for Loader {
         self.updater.read(object(index, sub_index))
     }
 
-    fn control(
-        &mut self,
-        value: u8,
-        _: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, sdo::Abort> {
+    fn control(&mut self, value: u8, _: nmt::State) -> Result<Answer, sdo::Abort> {
         self.updater.write_control(value).map_err(code)?;
-        Ok(Some(answer))
+        Ok(Answer::Now)
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), sdo::Abort> {
         self.updater.write(offset, bytes).map_err(code)
     }
 
-    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, sdo::Abort> {
+    fn end(&mut self, len: u32) -> Result<Answer, sdo::Abort> {
         self.granted = 1;
         self.updater.end(len).map_err(code)?;
-        self.answer = Some(answer);
-        Ok(None)
+        Ok(Answer::Later)
     }
 
     fn grant(&mut self) -> u8 {
@@ -148,7 +141,6 @@ impl canopen_node::Program for Loader {
     }
 
     fn abort(&mut self) {
-        self.answer = None;
         self.granted = 1;
         self.updater.abort();
     }
@@ -251,17 +243,19 @@ impl Board {
             }
             None => Log::<_, 0>::peek(self.flash),
         };
-        let owed = (why == Why::Stop).then(Confirmation::of_control);
+        let owes_answer = why == Why::Stop;
         let loader = Loader {
             updater,
-            answer: None,
-            owed,
+            owes_answer,
             is_answering: false,
             block_size: LONGEST_BLOCK,
             granted: 1,
             held_since: None,
         };
         let mut node = Node::with_application(device, settings, loader);
+        if owes_answer {
+            node.owe_control();
+        }
         let bit_rate = node.bit_rate();
         node.application_mut().handle(Event::BitRate(bit_rate));
         let can = Controller::new(can, pins, &mut self.rcc);
@@ -286,8 +280,8 @@ impl Work {
         if next.is_holding {
             runner.lock(|runner| runner.with(Node::resume));
         }
-        if let Some(owed) = next.owed {
-            runner.lock(|runner| runner.answer(owed, Ok(())));
+        if next.owes_answer {
+            runner.lock(|runner| runner.answer(Ok(())));
         }
         if next.is_without_program != self.has_reported {
             self.has_reported = next.is_without_program;
@@ -363,7 +357,8 @@ impl Work {
                 is_busy: action.is_some() || loader.updater.is_busy(),
                 is_holding: loader.held_since.is_some(),
                 is_without_program: loader.updater.is_without_program(),
-                owed: loader.owed.take_if(|_| state == nmt::State::PreOperational),
+                owes_answer: state == nmt::State::PreOperational
+                    && mem::take(&mut loader.owes_answer),
             }
         })
     }
@@ -376,16 +371,12 @@ struct Next {
     is_busy: bool,
     is_holding: bool,
     is_without_program: bool,
-    owed: Option<Confirmation>,
+    owes_answer: bool,
 }
 
 fn carry_out<C: Peripheral>(runner: &mut Runner<C>, action: Action) {
     match action {
-        Action::Answer(outcome) => {
-            if let Some(answer) = runner.application(|loader| loader.answer.take()) {
-                runner.answer(answer, outcome.map_err(code));
-            }
-        }
+        Action::Answer(outcome) => runner.answer(outcome.map_err(code)),
         Action::Reset => {
             mailbox::hand_over(runner.node(), Command::Start);
             reset::end_by_command();

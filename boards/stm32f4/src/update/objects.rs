@@ -1,6 +1,9 @@
 //! The objects of program download in a program: it hands over to its loader, and is confirmed.
 
-use canopen_node::{Confirmation, nmt, sdo};
+use canopen_node::{
+    nmt,
+    sdo::{self, Answer},
+};
 use program_update::{
     Abort, Object,
     program::{Control, Program},
@@ -17,11 +20,10 @@ pub struct Update {
 
 /// What a client has asked for, for the task that stores.
 #[derive(Clone, Copy, Debug)]
-#[cfg_attr(not(target_os = "none"), expect(dead_code, reason = "the board reads the answer"))]
 pub(super) enum Request {
     Stop,
     Reset,
-    Confirm(Confirmation),
+    Confirm,
 }
 
 impl Update {
@@ -42,19 +44,14 @@ impl canopen_node::Program for Update {
         self.program.as_ref().map_or(0, |program| program.read(object(index, sub_index)))
     }
 
-    fn control(
-        &mut self,
-        value: u8,
-        state: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, sdo::Abort> {
+    fn control(&mut self, value: u8, state: nmt::State) -> Result<Answer, sdo::Abort> {
         let program = self.program.as_ref().ok_or(sdo::Abort::DeviceState)?;
         let is_pre_operational = state == nmt::State::PreOperational;
         let (request, answer) = match program.write_control(value, is_pre_operational) {
-            Ok(Control::Answer) => (None, Some(answer)),
-            Ok(Control::Reset) => (Some(Request::Reset), Some(answer)),
-            Ok(Control::Confirm) => (Some(Request::Confirm(answer)), None),
-            Ok(Control::Stop) => (Some(Request::Stop), None),
+            Ok(Control::Answer) => (None, Answer::Now),
+            Ok(Control::Reset) => (Some(Request::Reset), Answer::Now),
+            Ok(Control::Confirm) => (Some(Request::Confirm), Answer::Later),
+            Ok(Control::Stop) => (Some(Request::Stop), Answer::Later),
             Err(abort) => return Err(code(abort)),
         };
         if request.is_some() {

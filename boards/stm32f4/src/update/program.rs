@@ -58,9 +58,9 @@ impl Steps {
                 SCB::sys_reset();
             }),
             Some(Request::Reset) => runner.lock(|_| mailbox::reset()),
-            Some(Request::Confirm(answer)) => {
+            Some(Request::Confirm) => {
                 let outcome = self.confirm(runner, update);
-                runner.lock(|runner| runner.answer(answer, outcome.map_err(super::objects::code)));
+                runner.lock(|runner| runner.answer(outcome.map_err(super::objects::code)));
             }
             None => {}
         }

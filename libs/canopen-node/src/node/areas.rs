@@ -4,17 +4,28 @@ use super::verification::Verification;
 use crate::{
     application::Dictionary,
     object_dictionary::{self, Entry, Object},
-    sdo::Message,
+    sdo::{Abort, Message},
     settings::parameters::{self, Packer, Parameter},
 };
 
-/// The SDO download that a client waits for.
+/// An SDO download whose client waits for the answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Download {
+pub(super) struct Owed {
     pub index: u16,
     pub sub_index: u8,
-    /// The answer to the client when the values are stored.
+    /// The answer when it is done.
     pub confirmation: Message,
+}
+
+impl Owed {
+    /// The answer: it is done, or has failed.
+    pub fn answer(self, outcome: Result<(), Abort>) -> Message {
+        let Self { index, sub_index, confirmation } = self;
+        match outcome {
+            Ok(()) => confirmation,
+            Err(code) => Message::refusal(index, sub_index, code),
+        }
+    }
 }
 
 /// An area of the dictionary that is stored and restored apart from the other (CiA 301, objects 1010h and 1011h).
@@ -61,10 +72,10 @@ impl Area {
     }
 
     /// The effect on the area of a store for this client, or for LSS if there is none.
-    pub fn change(self, client: Option<Download>) -> Change {
+    pub fn change(self, client: Option<Owed>) -> Change {
         match client {
-            Some(Download { index, sub_index, .. }) if self.is_concerned(sub_index) => {
-                if index == Self::RESTORE { Change::Remove } else { Change::Renew }
+            Some(download) if self.is_concerned(download.sub_index) => {
+                if download.index == Self::RESTORE { Change::Remove } else { Change::Renew }
             }
             _ => Change::Keep,
         }

@@ -6,8 +6,8 @@ use core::cmp::Ordering;
 use lss_slave::Slave;
 
 use super::{
-    Confirmation, Node, Storing, Task, Tasks, areas::Download, communication::Communication,
-    product::Product, program, settings_object,
+    Node, Owed, Storing, Task, Tasks, communication::Communication, product::Product, program,
+    settings_object,
 };
 use crate::{
     Frame, Instant, Program,
@@ -16,7 +16,7 @@ use crate::{
     lss::AddressPart,
     nmt::{self, ErrorBehaviour, slave::NmtSlave},
     object_dictionary::{self, Access, Entry, Object, TABLE},
-    sdo::{self, Abort, BLOCK_SIZE, Content, Message, Objects},
+    sdo::{self, Abort, Answer, BLOCK_SIZE, Content, Message, Objects},
 };
 
 const SAVE: u32 = u32::from_le_bytes(*b"save");
@@ -116,7 +116,7 @@ impl<A: Application> Node<A> {
     /// Discards the current SDO transfer without an answer to the client.
     pub(super) fn end_sdo_transfer(&mut self) {
         if let Some(entry) = self.sdo.domain() {
-            abort_domain(&mut self.product.application, entry);
+            abort_domain(&mut self.product, entry);
         }
         self.sdo.end_transfer();
     }
@@ -249,9 +249,9 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
     ) -> Result<Option<Message>, Abort> {
         if A::PROGRAM_DOWNLOAD && entry.index == program::CONTROL {
             let [value] = *bytes else { return Err(Abort::TooLong) };
-            let (answer, state) = (confirmation_of(entry, confirmation), self.nmt.state());
-            let answer = self.program()?.control(value, state, answer)?;
-            return Ok(answer.map(|answer| answer.message));
+            let state = self.nmt.state();
+            let answer = self.program()?.control(value, state)?;
+            return Ok(self.confirm(answer, entry, confirmation));
         }
         self.effects.add(tasks_of(entry.object));
         if let Object::Application(field) = entry.object {
@@ -271,7 +271,11 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         let number = bytes.iter().rev().fold(0, |number, byte| number << 8 | u32::from(*byte));
         match (entry.object, number) {
             (Object::StoreParameters, SAVE) | (Object::RestoreDefaultParameters, LOAD) => {
-                self.request_store(entry, confirmation)
+                if self.storing.sdo_request.is_some() {
+                    return Err(Abort::Busy);
+                }
+                self.storing.sdo_request = Some(owed(entry, confirmation));
+                Ok(None)
             }
             (Object::StoreParameters | Object::RestoreDefaultParameters, _) => {
                 Err(Abort::NotStored)
@@ -341,24 +345,24 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
         self.product.application.write_domain(entry.index, entry.sub_index, offset, bytes)
     }
 
-    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort> {
-        self.effects.add(Self::VALUES);
-        self.product.application.end_domain(entry.index, entry.sub_index, len)
-    }
-
-    fn end_program(
+    fn end_domain(
         &mut self,
         entry: &Entry,
         len: u32,
         confirmation: Message,
     ) -> Result<Option<Message>, Abort> {
-        let answer = self.program()?.end(len, confirmation_of(entry, confirmation))?;
-        Ok(answer.map(|answer| answer.message))
+        if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+            let answer = self.program()?.end(len)?;
+            return Ok(self.confirm(answer, entry, confirmation));
+        }
+        self.effects.add(Self::VALUES);
+        self.product.application.end_domain(entry.index, entry.sub_index, len)?;
+        Ok(Some(confirmation))
     }
 
     fn abort_domain(&mut self, entry: &Entry) {
         self.effects.add(Self::VALUES);
-        abort_domain(&mut self.product.application, entry);
+        abort_domain(self.product, entry);
     }
 
     fn grant(&mut self, entry: &Entry) -> u8 {
@@ -386,17 +390,19 @@ const fn tasks_of(object: Object) -> Tasks {
 }
 
 /// Discards what a client has written of a domain.
-fn abort_domain<A: Application>(application: &mut A, entry: &Entry) {
+fn abort_domain<A: Application>(product: &mut Product<A>, entry: &Entry) {
+    let Product { application, owed, .. } = product;
     if A::PROGRAM_DOWNLOAD && entry.index == program::DATA {
+        owed.take_if(|owed| owed.index == program::DATA);
         application.program().into_iter().for_each(|program| program.abort());
         return;
     }
     application.abort_domain(entry.index, entry.sub_index);
 }
 
-/// The answer to the download of an object, for an application that gives it later.
-const fn confirmation_of(entry: &Entry, message: Message) -> Confirmation {
-    Confirmation { index: entry.index, sub_index: entry.sub_index, message }
+/// A download whose answer follows later.
+const fn owed(entry: &Entry, confirmation: Message) -> Owed {
+    Owed { index: entry.index, sub_index: entry.sub_index, confirmation }
 }
 
 impl<A: Application> NodeObjects<'_, A> {
@@ -405,6 +411,17 @@ impl<A: Application> NodeObjects<'_, A> {
 
     fn program(&mut self) -> Result<&mut dyn Program, Abort> {
         self.product.application.program().ok_or(Abort::DeviceState)
+    }
+
+    /// The `confirmation` to send now; otherwise the node owes it for the program.
+    fn confirm(&mut self, answer: Answer, entry: &Entry, confirmation: Message) -> Option<Message> {
+        match answer {
+            Answer::Now => Some(confirmation),
+            Answer::Later => {
+                self.product.owed = Some(owed(entry, confirmation));
+                None
+            }
+        }
     }
 
     /// Whether the value of a field differs from these bytes.
@@ -447,19 +464,5 @@ impl<A: Application> NodeObjects<'_, A> {
             _ => return Err(Abort::ReadOnly),
         }
         Ok(())
-    }
-
-    fn request_store(
-        &mut self,
-        entry: &Entry,
-        confirmation: Message,
-    ) -> Result<Option<Message>, Abort> {
-        let Entry { index, sub_index, .. } = *entry;
-        let download = Download { index, sub_index, confirmation };
-        if self.storing.sdo_request.is_some() {
-            return Err(Abort::Busy);
-        }
-        self.storing.sdo_request = Some(download);
-        Ok(None)
     }
 }

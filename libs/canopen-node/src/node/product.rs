@@ -1,6 +1,6 @@
 //! The product around the protocol: its description, its application and its process data.
 
-use super::{communication::Communication, stored::Persistent};
+use super::{areas::Owed, communication::Communication, stored::Persistent};
 use crate::{Application, BitRate, Device, NodeId, application::Event, nmt};
 
 #[derive(Clone, Debug)]
@@ -9,6 +9,8 @@ pub(super) struct Product<A: Application> {
     pub application: A,
     pub communication: Communication<A::Numbers>,
     pub persistent: Persistent,
+    /// The download that [`Program`](crate::Program) answers later.
+    pub owed: Option<Owed>,
     /// The NMT state and the bit rate that the application knows.
     known: (nmt::State, BitRate),
 }
@@ -22,6 +24,7 @@ impl<A: Application> Product<A> {
             application,
             communication: Communication::new::<A>(),
             persistent: Persistent::declared::<A>(device.heartbeat_ms),
+            owed: None,
             known,
         }
     }

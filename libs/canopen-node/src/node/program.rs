@@ -1,7 +1,7 @@
 //! The objects of program download (CiA 302-3): 1F50h, 1F51h, 1F56h and 1F57h, and the state 2001h of an update, in a
 //! product or loader that turns them on.
 
-use super::{Action, Node, Task, Tasks};
+use super::{Action, Node, Owed, Task, Tasks};
 use crate::{
     Application, Instant, Settings, nmt,
     object_dictionary::{
@@ -9,7 +9,7 @@ use crate::{
         DataType::{Domain, Unsigned8, Unsigned32},
         DefaultValue, Description, Entry, Object, Options, row,
     },
-    sdo::{Abort, BLOCK_SIZE, Message},
+    sdo::{Abort, Answer, BLOCK_SIZE, Message},
 };
 
 /// The data of the program.
@@ -65,16 +65,11 @@ pub trait Program {
     /// The value of an object: 1F51h, 1F56h, 1F57h or 2001h.
     fn read(&mut self, index: u16, sub_index: u8) -> u32;
 
-    /// Carries out program control 1F51h. Returns the `answer`, or keeps it for [`Node::answer`].
+    /// Carries out program control 1F51h. [`Node::answer`] gives an answer that follows later.
     ///
     /// # Errors
     /// The abort code for the client.
-    fn control(
-        &mut self,
-        value: u8,
-        state: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort>;
+    fn control(&mut self, value: u8, state: nmt::State) -> Result<Answer, Abort>;
 
     /// Takes the next part of a program, 1F50h. The first part has offset 0.
     ///
@@ -84,11 +79,11 @@ pub trait Program {
         Err(Abort::DeviceState)
     }
 
-    /// Completes a program of `len` bytes. Returns the `answer`, or keeps it for [`Node::answer`].
+    /// Completes a program of `len` bytes. [`Node::answer`] gives an answer that follows later.
     ///
     /// # Errors
     /// The abort code for the client.
-    fn end(&mut self, _len: u32, _answer: Confirmation) -> Result<Option<Confirmation>, Abort> {
+    fn end(&mut self, _len: u32) -> Result<Answer, Abort> {
         Err(Abort::DeviceState)
     }
 
@@ -117,22 +112,6 @@ pub trait Program {
     fn answering(&mut self) {}
 }
 
-/// The answer to an SDO download that has not been given yet.
-#[derive(Clone, Copy, Debug)]
-#[must_use]
-pub struct Confirmation {
-    pub(crate) index: u16,
-    pub(crate) sub_index: u8,
-    pub(crate) message: Message,
-}
-
-impl Confirmation {
-    /// The answer to a write of 1F51h sub-index 1, by a loader to which a program has left it.
-    pub const fn of_control() -> Self {
-        Self { index: CONTROL, sub_index: 1, message: Message::confirmation(CONTROL, 1) }
-    }
-}
-
 impl<A: Application> Node<A> {
     /// Continues with a node-ID, a bit rate and a heartbeat time in milliseconds that were in force before a restart, in
     /// place of the stored ones, which stay stored. To be called after [`restore`](Self::restore), before all others.
@@ -141,6 +120,12 @@ impl<A: Application> Node<A> {
         self.nmt.configure(heartbeat_ms, self.nmt.error_behaviour());
         self.slave = self.product.device.slave(settings);
         self
+    }
+
+    /// Has a loader owe the answer to a write of 1F51h sub-index 1, which a program has left to it.
+    pub const fn owe_control(&mut self) {
+        let confirmation = Message::confirmation(CONTROL, 1);
+        self.product.owed = Some(Owed { index: CONTROL, sub_index: 1, confirmation });
     }
 
     /// Whether the answer to the request that waits has to wait on, since the program has no room for what would follow.
@@ -168,23 +153,15 @@ impl<A: Application> Node<A> {
         self.nmt.heartbeat_ms()
     }
 
-    /// Answers an SDO download that the application has taken: it is done, or has failed. The answer is lost if the NMT
+    /// Gives the answer that [`Program`] has put off: the download is done, or has failed. The answer is lost if the NMT
     /// state has changed to one without SDO since.
     #[must_use = "an action that is not carried out is lost"]
-    pub fn answer(
-        &mut self,
-        confirmation: Confirmation,
-        outcome: Result<(), Abort>,
-    ) -> Option<Action> {
+    pub fn answer(&mut self, outcome: Result<(), Abort>) -> Option<Action> {
+        let owed = self.product.owed.take()?;
         if !self.serves_sdo() {
             return None;
         }
         self.note_answer();
-        let Confirmation { index, sub_index, message } = confirmation;
-        let answer = match outcome {
-            Ok(()) => message,
-            Err(code) => Message::refusal(index, sub_index, code),
-        };
-        self.sdo_frame(answer).map(Action::sdo)
+        self.sdo_frame(owed.answer(outcome)).map(Action::sdo)
     }
 }

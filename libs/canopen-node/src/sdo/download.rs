@@ -5,9 +5,6 @@ use lss_slave::bytes::copy;
 use super::{Abort, Message, Objects, upload::TOGGLE};
 use crate::object_dictionary::Entry;
 
-/// The first index of an application's own objects.
-const OF_APPLICATION: u16 = 0x2000;
-
 /// A download under way. A domain goes to the application part by part; every other value is assembled in the
 /// server's buffer and written at the end, so that a transfer that is cut short changes nothing.
 #[derive(Clone, Copy, Debug)]
@@ -79,11 +76,7 @@ impl Download {
             return Err(Abort::TooShort);
         }
         if self.entry.options.is_streamed() {
-            if O::PROGRAM_DOWNLOAD && self.entry.index < OF_APPLICATION {
-                return objects.end_program(self.entry, self.len, confirmation);
-            }
-            objects.end_domain(self.entry, self.len)?;
-            return Ok(Some(confirmation));
+            return objects.end_domain(self.entry, self.len, confirmation);
         }
         let value = buffer.get(..self.len as usize).unwrap_or_default();
         objects.write(self.entry, value, confirmation)

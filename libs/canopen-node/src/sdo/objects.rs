@@ -15,6 +15,16 @@ pub(crate) enum Content {
     OfApplication(u8),
 }
 
+/// When a download that was not refused is answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Answer {
+    /// At once: it is done.
+    Now,
+    /// When its outcome is known.
+    Later,
+}
+
 /// The object dictionary behind the server.
 pub(crate) trait Objects {
     /// The time after which an unfinished transfer ends, in microseconds.
@@ -27,7 +37,7 @@ pub(crate) trait Objects {
 
     fn find(&self, index: u16, sub_index: u8) -> Result<&'static Entry, Abort>;
     fn read(&mut self, entry: &Entry) -> Result<Content, Abort>;
-    /// Writes any object but a domain. Returns the `confirmation`, or `None` if it follows when a store has ended.
+    /// Writes any object but a domain. Returns the `confirmation`, or `None` if it follows [later](Answer::Later).
     fn write(
         &mut self,
         entry: &Entry,
@@ -43,9 +53,8 @@ pub(crate) trait Objects {
     fn read_part(&self, entry: &Entry, field: u8, offset: u32, to: &mut [u8]) -> usize;
     fn begin_domain(&mut self, entry: &Entry, announced: Option<u32>) -> Result<(), Abort>;
     fn write_domain(&mut self, entry: &Entry, offset: u32, bytes: &[u8]) -> Result<(), Abort>;
-    fn end_domain(&mut self, entry: &Entry, len: u32) -> Result<(), Abort>;
-    /// The same for a program. Returns the `confirmation`, or `None` if the application gives it later.
-    fn end_program(
+    /// Ends the download of a domain, as [`write`](Self::write) does.
+    fn end_domain(
         &mut self,
         entry: &Entry,
         len: u32,

@@ -6,10 +6,10 @@ mod chip;
 use std::{cell::RefCell, rc::Rc};
 
 use canopen_node::{
-    Application, Confirmation, Count,
+    Application, Count,
     application::{Dictionary, longest},
     nmt,
-    sdo::Abort,
+    sdo::{Abort, Answer},
 };
 use program_update::{
     Action, Command, Expected, Mailbox, Object, Unsigned, Updater, crc,
@@ -51,7 +51,7 @@ enum Side {
 
 /// What the board does with its node.
 pub enum Deed {
-    Answer(Confirmation, Result<(), Abort>),
+    Answer(Result<(), Abort>),
     Reset(Cause),
 }
 
@@ -62,8 +62,6 @@ pub struct State {
     side: Side,
     mailbox: Option<Mailbox>,
     now: u64,
-    /// For the end of a download.
-    confirmation: Option<Confirmation>,
     is_asked: bool,
     reset: Option<(u64, Cause)>,
     /// The loader owes the answer to the stop of the program.
@@ -85,7 +83,6 @@ impl Board {
             side: Side::Off,
             mailbox: None,
             now: 0,
-            confirmation: None,
             is_asked: false,
             reset: None,
             owes_answer: false,
@@ -109,7 +106,7 @@ impl State {
         let (start, mailbox) = start::decide(&mut flash, self.mailbox, cause);
         self.mailbox = Some(mailbox);
         let now = self.now as u32;
-        (self.confirmation, self.is_asked, self.reset) = (None, false, None);
+        (self.is_asked, self.reset) = (false, None);
         self.hangs = false;
         self.owes_answer = start == Start::Loader(Why::Stop);
         self.side = match start {
@@ -164,8 +161,7 @@ impl State {
                 for _ in 0..STEPS {
                     match updater.poll(micros) {
                         Some(Action::Answer(outcome)) => {
-                            let confirmation = self.confirmation.take().expect("a client waits");
-                            deeds.push(Deed::Answer(confirmation, outcome.map_err(abort)));
+                            deeds.push(Deed::Answer(outcome.map_err(abort)));
                         }
                         Some(Action::Reset) => {
                             deeds.push(Deed::Reset(Cause::Other));
@@ -197,7 +193,7 @@ impl State {
         &mut self,
         value: u8,
         is_pre_operational: bool,
-    ) -> Result<bool, program_update::Abort> {
+    ) -> Result<Answer, program_update::Abort> {
         let kind = self.kind();
         match &mut self.side {
             Side::Off => {}
@@ -213,11 +209,11 @@ impl State {
                     let mailbox = self.mailbox.unwrap_or_default();
                     self.mailbox = Some(Mailbox { command: Command::Stop, ..mailbox });
                     self.reset = Some((self.now, Cause::Other));
-                    return Ok(false);
+                    return Ok(Answer::Later);
                 }
             },
         }
-        Ok(true)
+        Ok(Answer::Now)
     }
 }
 
@@ -262,15 +258,9 @@ impl canopen_node::Program for Board {
         }
     }
 
-    fn control(
-        &mut self,
-        value: u8,
-        nmt: nmt::State,
-        answer: Confirmation,
-    ) -> Result<Option<Confirmation>, Abort> {
+    fn control(&mut self, value: u8, nmt: nmt::State) -> Result<Answer, Abort> {
         let is_pre_operational = nmt == nmt::State::PreOperational;
-        let outcome = self.0.borrow_mut().control(value, is_pre_operational);
-        Ok(outcome.map_err(abort)?.then_some(answer))
+        self.0.borrow_mut().control(value, is_pre_operational).map_err(abort)
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Abort> {
@@ -280,12 +270,12 @@ impl canopen_node::Program for Board {
         }
     }
 
-    fn end(&mut self, len: u32, answer: Confirmation) -> Result<Option<Confirmation>, Abort> {
-        let mut state = self.0.borrow_mut();
-        let Side::Loader(updater) = &mut state.side else { return Err(Abort::DeviceState) };
+    fn end(&mut self, len: u32) -> Result<Answer, Abort> {
+        let Side::Loader(updater) = &mut self.0.borrow_mut().side else {
+            return Err(Abort::DeviceState);
+        };
         updater.end(len).map_err(abort)?;
-        state.confirmation = Some(answer);
-        Ok(None)
+        Ok(Answer::Later)
     }
 
     fn abort(&mut self) {

@@ -252,8 +252,8 @@ impl Fleet {
             let deeds = self.board(number).poll(now);
             for deed in deeds {
                 match deed {
-                    Deed::Answer(confirmation, outcome) => self.bus().on_bus(number, |rig| {
-                        let action = rig.node.answer(confirmation, outcome);
+                    Deed::Answer(outcome) => self.bus().on_bus(number, |rig| {
+                        let action = rig.node.answer(outcome);
                         rig.act(action);
                     }),
                     Deed::Reset(cause) => {
