@@ -7,4 +7,4 @@ mod pins;
 
 pub use controller::Controller;
 pub use peripheral::Peripheral;
-pub use pins::{CanPins, Receives, Transmits};
+pub use pins::{CanPins, CanRx, CanTx};

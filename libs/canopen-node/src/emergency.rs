@@ -118,14 +118,14 @@ const PLACES: usize = 20;
 
 /// The content of a message.
 #[derive(Clone, Copy, Debug)]
-struct Message {
+struct EmergencyMessage {
     code: u16,
     /// The bits of the error register 1001h for this error.
     register: u8,
     information: [u8; 5],
 }
 
-impl Message {
+impl EmergencyMessage {
     /// The one with error code 0.
     const NONE: Self = Self { code: 0, register: 0, information: [0; 5] };
 
@@ -192,7 +192,7 @@ impl Fault {
         !matches!(self, Self::BusOffRecovered | Self::Overrun | Self::Restarted(_))
     }
 
-    fn message(self) -> Message {
+    fn message(self) -> EmergencyMessage {
         let mut information = [0; 5];
         let OwnCode { code, register, .. } = match self {
             Self::SettingsLost => own::SETTINGS_LOST,
@@ -212,7 +212,7 @@ impl Fault {
                 own::AWAY_FROM_HOME_RATE
             }
         };
-        Message { code, register, information }
+        EmergencyMessage { code, register, information }
     }
 }
 
@@ -233,7 +233,7 @@ pub(crate) struct ErrorCounters {
 /// The errors that are present, the messages about them, and the history.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
-    messages: [Message; PLACES],
+    messages: [EmergencyMessage; PLACES],
     /// The errors that are present.
     present: Places,
     /// The messages that have not been sent.
@@ -257,7 +257,7 @@ pub(crate) struct Emergency {
 impl Emergency {
     pub const fn new() -> Self {
         Self {
-            messages: [Message::NONE; PLACES],
+            messages: [EmergencyMessage::NONE; PLACES],
             present: Places::NONE,
             unsent: Places::NONE,
             in_flight: Places::NONE,
@@ -307,9 +307,9 @@ impl Emergency {
         information: [u8; 5],
     ) -> bool {
         let at = self.place_of(places.clone(), code);
-        let at = at.or_else(|| self.place_of(places, Message::NONE.code));
+        let at = at.or_else(|| self.place_of(places, EmergencyMessage::NONE.code));
         if let Some(at) = at {
-            self.put(at, Message { code, register: register | GENERIC, information });
+            self.put(at, EmergencyMessage { code, register: register | GENERIC, information });
         }
         at.is_some()
     }
@@ -338,7 +338,7 @@ impl Emergency {
     }
 
     /// Makes an error present, and its message due.
-    fn put(&mut self, at: usize, message: Message) {
+    fn put(&mut self, at: usize, message: EmergencyMessage) {
         if let Some(place) = self.messages.get_mut(at) {
             *place = message;
         }
@@ -353,7 +353,7 @@ impl Emergency {
         self.present = self.present.without(Places::of(at));
         if self.present == Places::NONE {
             let is_return_home = at == AWAY_FROM_HOME_RATE;
-            let ended = if is_return_home { self.messages[at] } else { Message::NONE };
+            let ended = if is_return_home { self.messages[at] } else { EmergencyMessage::NONE };
             self.messages[END].information = ended.information;
             self.unsent = self.unsent.and(Places::of(END));
         }
@@ -364,7 +364,7 @@ impl Emergency {
     fn clear_unused(&mut self, at: usize) {
         let is_used = self.used().has(at);
         if let Some(place) = self.messages.get_mut(at).filter(|_| !is_used) {
-            *place = Message::NONE;
+            *place = EmergencyMessage::NONE;
         }
     }
 
@@ -489,7 +489,7 @@ impl Emergency {
             (Allowed::Cause, _) => Places::CAUSES,
             _ => Places::ALL,
         };
-        let Message { code, register, information } = self.take(among)?;
+        let EmergencyMessage { code, register, information } = self.take(among)?;
         let inhibit_time = self.configuration.inhibit_time;
         self.inhibited_until =
             (inhibit_time > 0).then(|| now.plus_micros(u32::from(inhibit_time) * 100));
@@ -501,7 +501,7 @@ impl Emergency {
 
     /// Takes the first message in one of these places out of the queue, if there is one;
     /// [`note_acknowledge`](Self::note_acknowledge) completes it.
-    fn take(&mut self, among: Places) -> Option<Message> {
+    fn take(&mut self, among: Places) -> Option<EmergencyMessage> {
         if self.present != Places::NONE {
             self.unsent = self.unsent.without(Places::of(END));
         }

@@ -22,7 +22,7 @@ pub struct CanPins<C: Peripheral> {
 
 impl<C: Peripheral> CanPins<C> {
     /// These pins, if the chip connects the controller to them.
-    pub fn new(transmit: impl Transmits<C>, receive: impl Receives<C>, rcc: &mut Rcc) -> Self {
+    pub fn new(transmit: impl CanTx<C>, receive: impl CanRx<C>, rcc: &mut Rcc) -> Self {
         // First, as the line may otherwise glitch.
         C::enable_clock(rcc);
         Self { transmit: transmit.into_transmit_pin(), receive: receive.into_receive_pin() }
@@ -35,7 +35,7 @@ impl<C: Peripheral> CanPins<C> {
     note = "CAN1 transmits at PA12, PB9, PD1, on some chips PG1 or PH13; CAN2 at PB6, PB13, on some \
             chips PG12; CAN3 at PA15, PB4"
 )]
-pub trait Transmits<C: Peripheral> {
+pub trait CanTx<C: Peripheral> {
     /// Sets the pin up, held recessive.
     fn into_transmit_pin(self) -> TransmitPin;
 }
@@ -46,13 +46,13 @@ pub trait Transmits<C: Peripheral> {
     note = "CAN1 receives at PA11, PB8, PD0, on some chips PG0 or PI9; CAN2 at PB5, PB12, on some \
             chips PG11; CAN3 at PA8, PB3"
 )]
-pub trait Receives<C: Peripheral> {
+pub trait CanRx<C: Peripheral> {
     /// Sets the pin up, with a pull-up.
     fn into_receive_pin(self) -> C::Rx;
 }
 
 #[diagnostic::do_not_recommend]
-impl<C, const PORT: char, const NUMBER: u8, MODE: PinMode> Transmits<C> for Pin<PORT, NUMBER, MODE>
+impl<C, const PORT: char, const NUMBER: u8, MODE: PinMode> CanTx<C> for Pin<PORT, NUMBER, MODE>
 where
     C: Peripheral<Tx: From<Pin<PORT, NUMBER, Output>>>,
 {
@@ -66,7 +66,7 @@ where
 }
 
 #[diagnostic::do_not_recommend]
-impl<C, const PORT: char, const NUMBER: u8, MODE: PinMode> Receives<C> for Pin<PORT, NUMBER, MODE>
+impl<C, const PORT: char, const NUMBER: u8, MODE: PinMode> CanRx<C> for Pin<PORT, NUMBER, MODE>
 where
     C: Peripheral<Rx: From<Pin<PORT, NUMBER, Input>>>,
 {

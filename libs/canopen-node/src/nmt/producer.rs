@@ -6,7 +6,7 @@ use crate::Instant;
 
 /// The times at which heartbeats are due.
 #[derive(Clone, Debug)]
-pub(crate) struct Producer {
+pub(crate) struct HeartbeatTimes {
     /// 1017h.
     pub period_ms: u16,
     /// The next regular heartbeat.
@@ -15,7 +15,7 @@ pub(crate) struct Producer {
     pub is_extra_due: bool,
 }
 
-impl Producer {
+impl HeartbeatTimes {
     pub const fn new(period_ms: u16) -> Self {
         Self { period_ms, due: Instant::from_micros(0), is_extra_due: false }
     }

@@ -2,7 +2,7 @@
 
 use core::mem;
 
-use super::{Command, ErrorBehaviour, State, error_control, producer::Producer};
+use super::{Command, ErrorBehaviour, State, error_control, producer::HeartbeatTimes};
 use crate::{Frame, Instant, NodeId, Service, Services, emergency::Allowed};
 
 /// The NMT state of the node, and the messages that report it.
@@ -11,7 +11,7 @@ pub(crate) struct NmtSlave {
     /// Initialisation until the first boot-up is sent.
     state: State,
     boot_up: BootUp,
-    heartbeat: Producer,
+    heartbeat: HeartbeatTimes,
     /// 1029h sub-index 1.
     error_behaviour: ErrorBehaviour,
     /// That has stopped the node.
@@ -38,7 +38,7 @@ impl NmtSlave {
         Self {
             state: State::Initialisation,
             boot_up: BootUp::Due,
-            heartbeat: Producer::new(heartbeat_ms),
+            heartbeat: HeartbeatTimes::new(heartbeat_ms),
             error_behaviour,
             is_stopped_by_error: false,
             stale: Services::NONE,
