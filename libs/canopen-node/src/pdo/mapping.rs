@@ -3,7 +3,7 @@
 use crate::{
     Application,
     declaration_error::DeclarationError,
-    object_dictionary::{Access, DataType, Entry, Object, Options},
+    object_dictionary::{self, Access, DataType, Entry, Object, Options},
     sdo::Abort,
 };
 
@@ -89,29 +89,38 @@ const fn find(
     index: u16,
     sub_index: u8,
 ) -> Result<&'static Entry, NotMappable> {
-    let table = if index < 0x1000 { DUMMIES } else { objects };
+    let table = table(objects, index);
     let mut at = 0;
     while at < table.len() {
         let entry = &table[at];
         if entry.index == index && entry.sub_index == sub_index {
-            let is_possible = match direction {
-                Direction::Transmit => {
-                    !matches!(entry.access, Access::WriteOnly | Access::ReadWriteOutput)
-                }
-                Direction::Receive => !matches!(
-                    entry.access,
-                    Access::Const | Access::ReadOnly | Access::ReadWriteInput
-                ),
-            };
-            return match (entry.options.is_mappable(), is_possible) {
-                (false, _) => Err(NotMappable::NotDeclared),
-                (true, false) => Err(NotMappable::WrongDirection),
-                (true, true) => Ok(entry),
+            return match reason(entry, direction) {
+                Some(reason) => Err(reason),
+                None => Ok(entry),
             };
         }
         at += 1;
     }
     Err(NotMappable::Missing)
+}
+
+const fn table(objects: &'static [Entry], index: u16) -> &'static [Entry] {
+    if index < 0x1000 { DUMMIES } else { objects }
+}
+
+/// Why an object cannot be mapped in this direction.
+const fn reason(entry: &Entry, direction: Direction) -> Option<NotMappable> {
+    let is_possible = match direction {
+        Direction::Transmit => !matches!(entry.access, Access::WriteOnly | Access::ReadWriteOutput),
+        Direction::Receive => {
+            !matches!(entry.access, Access::Const | Access::ReadOnly | Access::ReadWriteInput)
+        }
+    };
+    match (entry.options.is_mappable(), is_possible) {
+        (false, _) => Some(NotMappable::NotDeclared),
+        (true, false) => Some(NotMappable::WrongDirection),
+        (true, true) => None,
+    }
 }
 
 /// The object with this entry of a mapping, if it can be mapped in this direction.
@@ -120,8 +129,9 @@ fn find_code(
     direction: Direction,
     wanted: u32,
 ) -> Option<&'static Entry> {
-    let entry = find(objects, direction, (wanted >> 16) as u16, (wanted >> 8) as u8).ok()?;
-    (code(entry) == wanted).then_some(entry)
+    let (index, sub_index) = ((wanted >> 16) as u16, (wanted >> 8) as u8);
+    let entry = object_dictionary::find(table(objects, index), index, sub_index).ok()?;
+    (code(entry) == wanted && reason(entry, direction).is_none()).then_some(entry)
 }
 
 /// The entry of a mapping for this object: index, sub-index and length in bits.
