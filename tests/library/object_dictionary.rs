@@ -4,8 +4,9 @@ use std::panic;
 
 use canopen_node::{
     BusEvent,
-    application::{self, Dictionary},
+    application::Dictionary,
     object_dictionary::{DataType, Entry},
+    private,
 };
 use testkit::{node_rig::NodeRig, sdo::Client};
 
@@ -96,6 +97,6 @@ fn an_integer_type_reaches_from_its_lowest_to_its_highest_number() {
 fn a_product_has_at_most_256_objects() {
     let object = |number: u16| Entry { index: 0x2001 + number, ..Machine::OBJECTS[0] };
     let objects: Vec<_> = (0..257).map(object).collect();
-    application::check(&objects[..256]);
-    assert!(panic::catch_unwind(|| application::check(&objects)).is_err());
+    private::check(&objects[..256]);
+    assert!(panic::catch_unwind(|| private::check(&objects)).is_err());
 }

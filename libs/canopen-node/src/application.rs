@@ -30,18 +30,16 @@
 //! assert_eq!(Dimmer::new().brightness, 50);
 //! ```
 
-mod check;
-mod declaration;
+pub(crate) mod check;
+pub(crate) mod declaration;
 pub(crate) mod event;
-mod field;
+pub(crate) mod field;
 pub(crate) mod process_data;
 mod text;
 mod value;
 
-pub use check::{check, check_count, check_methods, fail};
-pub use declaration::{Row, count, firsts, longest, table};
 pub use event::Event;
-pub use field::{FieldType, Plain, ValueOf, bits, check_limits, len, read};
+pub use field::FieldType;
 pub use text::{OctetString, Text};
 pub use value::{
     Domain, Integer24, Integer40, Integer48, Integer56, LongText, Unsigned24, Unsigned40,
@@ -267,7 +265,7 @@ pub struct NoApplication;
 
 impl Dictionary for NoApplication {
     type Value = ();
-    type SdoBuffer = [u8; longest(&[])];
+    type SdoBuffer = [u8; declaration::longest(&[])];
     type Numbers = Count<0, 0, 0>;
 }
 

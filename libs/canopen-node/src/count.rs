@@ -48,7 +48,6 @@ impl<const TPDOS: usize, const RPDOS: usize, const PRODUCERS: usize>
 }
 
 /// The numbers with the PDOs that an application declares.
-#[doc(hidden)]
 pub trait Declares<A: ?Sized>: Numbers {
     /// The TPDOs of a new device.
     const DECLARED_TPDOS: Self::Tpdos<Pdo>;

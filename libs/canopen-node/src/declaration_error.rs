@@ -1,7 +1,6 @@
 //! The errors of a product's declarations: messages that are put together at compile time.
 
 /// The message of an error, which ends the build.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct DeclarationError {
     text: [u8; 200],

@@ -10,7 +10,7 @@ use crate::{BitRate, Frame, Instant, NodeId};
 pub(crate) use configuration::Configuration;
 
 pub use lss_slave::cob_id::EMERGENCY as COB_ID;
-pub use own::{OwnCode, of_application};
+pub use own::OwnCode;
 
 /// The number of errors that the history 1003h keeps.
 pub(crate) const HISTORY_LEN: u8 = 8;

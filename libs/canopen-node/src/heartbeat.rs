@@ -214,7 +214,6 @@ pub(crate) const fn declared<A: Application + ?Sized, const PRODUCERS: usize>()
 }
 
 /// An entry of 1016h.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct Producer {
     node: u8,

@@ -73,5 +73,18 @@ pub use lss_slave::{
 };
 pub use node::{Action, Node, Program, Receives, Service, Services};
 pub use numbers::Numbers;
+
+/// What the macros name; it is no part of the interface.
 #[doc(hidden)]
-pub use pastey;
+pub mod private {
+    pub use pastey;
+
+    pub use crate::{
+        application::{
+            check::{check, check_count, check_methods, fail},
+            declaration::{Row, count, firsts, longest, table},
+            field::{Plain, ValueOf, bits, check_limits, len, read},
+        },
+        emergency::own::of_application,
+    };
+}

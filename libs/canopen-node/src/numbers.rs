@@ -29,14 +29,12 @@ pub trait Numbers: sealed::Sealed + Copy + Debug {
 }
 
 /// What a [`List`] has.
-#[doc(hidden)]
 pub trait Element: Copy + Debug {
     /// The value in a place that is not in use.
     const UNUSED: Self;
 }
 
 /// An array.
-#[doc(hidden)]
 pub trait List<T>: Copy + Debug + AsRef<[T]> + AsMut<[T]> {
     /// An array of which nothing is in use.
     const UNUSED: Self;

@@ -298,8 +298,7 @@ macro_rules! table {
         )+
     })*) => {
         /// The node's own objects, by index and sub-index.
-        #[doc(hidden)]
-        pub const TABLE: &[Entry] = &[$($(
+        pub(crate) const TABLE: &[Entry] = &[$($(
             Entry {
                 index: $index,
                 sub_index: $sub_index,
@@ -311,8 +310,7 @@ macro_rules! table {
         )+)*];
 
         /// The descriptions of the rows of [`TABLE`], in the same order. The image does not contain them.
-        #[doc(hidden)]
-        pub fn descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
+        pub(crate) fn descriptions($device: &Device) -> impl Iterator<Item = Description> + use<> {
             [$($(
                 Description {
                     object: table!(@option $(Name::from($object_name))?),

@@ -17,9 +17,7 @@ use crate::{
 };
 pub(crate) use block_download::BLOCK_SIZE;
 pub use objects::Answer;
-#[doc(hidden)]
-pub use objects::Buffer;
-pub(crate) use objects::{Content, Objects};
+pub(crate) use objects::{Buffer, Content, Objects};
 pub(crate) use server::Server;
 
 #[doc(inline)]

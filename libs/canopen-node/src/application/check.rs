@@ -6,7 +6,6 @@ use crate::{
 };
 
 /// Checks the table of a product; panics, at compile time, with what is wrong.
-#[doc(hidden)]
 pub const fn check(objects: &[Entry]) {
     if objects.len() > 256 {
         DeclarationError::new("there are more than 256 objects").raise();
@@ -69,13 +68,11 @@ const fn fault(entry: &Entry, before: Option<&Entry>) -> Option<&'static str> {
 }
 
 /// Ends the build with what is wrong with an object.
-#[doc(hidden)]
 pub const fn fail(index: u16, sub_index: u8, fault: &str) -> ! {
     DeclarationError::of_object(index, sub_index).text(fault).raise()
 }
 
 /// Checks that a field has a value for each of its sub-indices: one, or the first and the last.
-#[doc(hidden)]
 pub const fn check_count(index: u16, sub_indices: &[u8], count: u8) {
     let (first, last) = match *sub_indices {
         [first] => (first, first),
@@ -92,7 +89,6 @@ pub const fn check_count(index: u16, sub_indices: &[u8], count: u8) {
 }
 
 /// Checks the methods that a field is declared `with`.
-#[doc(hidden)]
 pub const fn check_methods(
     index: u16,
     sub_index: u8,

@@ -3,11 +3,9 @@
 use crate::object_dictionary::{Access, DataType, Entry, Object, row};
 
 /// The row of a field of the declaration, and the number of its values.
-#[doc(hidden)]
 pub type Row = (Entry, u8);
 
 /// The number of values in these rows.
-#[doc(hidden)]
 pub const fn count(mut rows: &[Row]) -> usize {
     let mut number = 0;
     while let [(_, count), others @ ..] = rows {
@@ -18,7 +16,6 @@ pub const fn count(mut rows: &[Row]) -> usize {
 }
 
 /// The number of the first value of each field, of these numbers of values.
-#[doc(hidden)]
 pub const fn firsts<const N: usize>(counts: [u8; N]) -> [u8; N] {
     let mut firsts = [0; N];
     let mut at = 1;
@@ -30,7 +27,6 @@ pub const fn firsts<const N: usize>(counts: [u8; N]) -> [u8; N] {
 }
 
 /// The table of these rows: an entry for each value, numbered, and the highest sub-index of each object that has one.
-#[doc(hidden)]
 pub const fn table<const N: usize>(mut rows: &[Row]) -> [Entry; N] {
     let none = row(0, 0, DataType::Unsigned8, Access::Const, Object::HighestSubIndex(0));
     let mut table = [none; N];
@@ -61,7 +57,6 @@ pub const fn table<const N: usize>(mut rows: &[Row]) -> [Entry; N] {
 }
 
 /// The largest of these capacities, and at least that for the longest number, in bytes.
-#[doc(hidden)]
 pub const fn longest(capacities: &[usize]) -> usize {
     let mut longest = 8;
     let mut at = 0;
@@ -174,7 +169,7 @@ macro_rules! objects {
             )+)*
         }
 
-        $crate::pastey::paste! {
+        $crate::private::pastey::paste! {
             /// A value for one of the objects.
             #[derive(Clone, Copy, Debug)]
             $visibility enum $value {
@@ -199,13 +194,13 @@ macro_rules! objects {
         }
 
         const _: () = {
-            use $crate::{application, object_dictionary, sdo, settings::parameters};
+            use $crate::{application, object_dictionary, private, sdo, settings::parameters};
 
             #[allow(non_camel_case_types)]
             enum Field { $($($field,)+)* }
 
             const FIRSTS: [u8; <[Field]>::len(&[$($(Field::$field,)+)*])] =
-                application::firsts([$($(<$type as application::FieldType>::COUNT,)+)*]);
+                private::firsts([$($(<$type as application::FieldType>::COUNT,)+)*]);
 
             /// The place of a value in its field, if it is in the field.
             fn position<T: application::FieldType>(field: Field, value: u8) -> Option<u8> {
@@ -213,17 +208,17 @@ macro_rules! objects {
                 (position < T::COUNT).then_some(position)
             }
 
-            const ROWS: &[application::Row] = &[$(
+            const ROWS: &[private::Row] = &[$(
                 $($crate::objects!(@highest $index $object),)?
                 $((
                     object_dictionary::Entry {
                         index: $index,
                         sub_index: $sub_index,
-                        data_type: <application::ValueOf<$type> as application::ValueType>::DATA_TYPE,
+                        data_type: <private::ValueOf<$type> as application::ValueType>::DATA_TYPE,
                         access: $crate::objects!(@access $index $sub_index $access),
                         options: $crate::objects!(@options $access)
                             $(.and($crate::objects!(@option $index $sub_index $option)))*
-                            .and(<application::ValueOf<$type> as application::ValueType>::OPTIONS),
+                            .and(<private::ValueOf<$type> as application::ValueType>::OPTIONS),
                         object: object_dictionary::Object::Application(0),
                     },
                     <$type as application::FieldType>::COUNT,
@@ -233,8 +228,8 @@ macro_rules! objects {
             #[allow(unused_variables, reason = "there may be no object yet")]
             impl application::Dictionary for $name {
                 type Value = $value;
-                type SdoBuffer = [u8; application::longest(&[
-                    $($(<application::ValueOf<$type> as application::ValueType>::CAPACITY,)+)*
+                type SdoBuffer = [u8; private::longest(&[
+                    $($(<private::ValueOf<$type> as application::ValueType>::CAPACITY,)+)*
                 ])];
                 type Numbers = $crate::Count<
                     { <$name as $crate::Application>::TPDOS.len() },
@@ -243,7 +238,7 @@ macro_rules! objects {
                 >;
 
                 const OBJECTS: &'static [object_dictionary::Entry] =
-                    &application::table::<{ application::count(ROWS) }>(ROWS);
+                    &private::table::<{ private::count(ROWS) }>(ROWS);
 
                 fn descriptions() -> impl Iterator<Item = object_dictionary::Description> {
                     [$(
@@ -278,14 +273,14 @@ macro_rules! objects {
 
                 fn len(&self, field: u8) -> usize {
                     $($(if let Some(at) = position::<$type>(Field::$field, field) {
-                        return application::len::<$type>(&self.$field, at);
+                        return private::len::<$type>(&self.$field, at);
                     })+)*
                     0
                 }
 
                 fn read(&self, field: u8, offset: usize, to: &mut [u8]) -> usize {
                     $($(if let Some(at) = position::<$type>(Field::$field, field) {
-                        return application::read::<$type>(&self.$field, at, offset, to);
+                        return private::read::<$type>(&self.$field, at, offset, to);
                     })+)*
                     0
                 }
@@ -297,7 +292,7 @@ macro_rules! objects {
                             .is_mappable()
                     } {
                         if let Some(at) = position::<$type>(Field::$field, field) {
-                            return application::bits::<$type>(&self.$field, at);
+                            return private::bits::<$type>(&self.$field, at);
                         }
                     })+)*
                     0
@@ -305,10 +300,10 @@ macro_rules! objects {
 
                 fn parse(field: u8, bytes: &[u8]) -> Result<$value, sdo::Abort> {
                     $($(if let Some(at) = position::<$type>(Field::$field, field) {
-                        let value = <application::ValueOf<$type> as application::ValueType>::parse(bytes)?;
-                        $(application::check_limits(&value, &($limits))?;)?
+                        let value = <private::ValueOf<$type> as application::ValueType>::parse(bytes)?;
+                        $(private::check_limits(&value, &($limits))?;)?
                         let written = <$type as application::FieldType>::written(at, value);
-                        return Ok($crate::pastey::paste!($value::[<$field:camel>])(written));
+                        return Ok($crate::private::pastey::paste!($value::[<$field:camel>])(written));
                     })+)*
                     Err(sdo::Abort::NoObject)
                 }
@@ -335,43 +330,43 @@ macro_rules! objects {
 
                 fn set(&mut self, value: $value) {
                     match value {
-                        $($($crate::pastey::paste!($value::[<$field:camel>](value)) => {
+                        $($($crate::private::pastey::paste!($value::[<$field:camel>](value)) => {
                             <$type as application::FieldType>::set(&mut self.$field, value);
                         })+)*
                     }
                 }
             }
 
-            application::check(<$name as application::Dictionary>::OBJECTS);
+            private::check(<$name as application::Dictionary>::OBJECTS);
             <<$name as application::Dictionary>::Numbers>::check::<$name>();
             $($(
-                application::check_count(
+                private::check_count(
                     $index,
                     &[$sub_index $(, $last)?],
                     <$type as application::FieldType>::COUNT,
                 );
-                $(application::check_methods(
+                $(private::check_methods(
                     $index,
                     $sub_index,
-                    <application::ValueOf<$type> as application::ValueType>::OPTIONS,
+                    <private::ValueOf<$type> as application::ValueType>::OPTIONS,
                     $crate::objects!(@access $index $sub_index $access),
                     &[stringify!($read) $(, stringify!($write))?],
                 );)?
                 #[allow(unused_variables, reason = "there may be no limits")]
-                let defaults: &[application::Plain<$type>] =
+                let defaults: &[private::Plain<$type>] =
                     &$crate::objects!(@defaults $default $(, $last)?);
                 $(
-                    let limits: core::ops::RangeInclusive<application::Plain<$type>> = $limits;
+                    let limits: core::ops::RangeInclusive<private::Plain<$type>> = $limits;
                     let (low, high) = (*limits.start(), *limits.end());
                     let mut at = 0;
                     while at < defaults.len() {
                         if !(low <= defaults[at] && defaults[at] <= high) {
-                            application::fail($index, $sub_index + at as u8, "its default is out of its limits");
+                            private::fail($index, $sub_index + at as u8, "its default is out of its limits");
                         }
                         at += 1;
                     }
-                    if !<application::ValueOf<$type> as application::ValueType>::DATA_TYPE.reaches(low as i128, high as i128) {
-                        application::fail($index, $sub_index, "a limit is out of the range of its type");
+                    if !<private::ValueOf<$type> as application::ValueType>::DATA_TYPE.reaches(low as i128, high as i128) {
+                        private::fail($index, $sub_index, "a limit is out of the range of its type");
                     }
                 )?
             )+)*
@@ -418,7 +413,7 @@ macro_rules! objects {
     (@options $access:ident) => { object_dictionary::Options::NONE };
     (@limits $type:ty) => { None };
     (@limits $type:ty, $limits:expr) => {{
-        let limits: core::ops::RangeInclusive<application::Plain<$type>> = $limits;
+        let limits: core::ops::RangeInclusive<private::Plain<$type>> = $limits;
         Some(((*limits.start()).into(), (*limits.end()).into()))
     }};
 }

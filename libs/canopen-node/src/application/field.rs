@@ -31,11 +31,9 @@ pub trait FieldType {
 }
 
 /// The type of each value of a field.
-#[doc(hidden)]
 pub type ValueOf<T> = <T as FieldType>::Value;
 
 /// A value of a field, as the struct has it.
-#[doc(hidden)]
 pub type Plain<T> = <ValueOf<T> as ValueType>::Field;
 
 impl<T: ValueType> FieldType for T {
@@ -82,19 +80,16 @@ impl<T: ValueType, const N: usize> FieldType for [T; N] {
 }
 
 /// The length of a value of a field in bytes.
-#[doc(hidden)]
 pub fn len<T: FieldType>(field: &T::Field, at: u8) -> usize {
     T::get(field, at).map_or(0, T::Value::len)
 }
 
 /// Copies the bytes of a value of a field from `offset` to `to`; returns their number.
-#[doc(hidden)]
 pub fn read<T: FieldType>(field: &T::Field, at: u8, offset: usize, to: &mut [u8]) -> usize {
     T::get(field, at).map_or(0, |value| T::Value::read(value, offset, to))
 }
 
 /// The bytes of a number in a field, the first as the lowest.
-#[doc(hidden)]
 pub fn bits<T: FieldType>(field: &T::Field, at: u8) -> u64 {
     T::get(field, at).map_or(0, T::Value::bits)
 }
@@ -103,7 +98,6 @@ pub fn bits<T: FieldType>(field: &T::Field, at: u8) -> u64 {
 ///
 /// # Errors
 /// [`Abort::TooLow`] or [`Abort::TooHigh`]. NaN is not between the limits.
-#[doc(hidden)]
 pub fn check_limits<T: PartialOrd>(value: &T, limits: &RangeInclusive<T>) -> Result<(), Abort> {
     match limits.contains(value) {
         true => Ok(()),

@@ -139,7 +139,6 @@ pub(crate) fn is_own(code: u16) -> bool {
 }
 
 /// The error code of an application: [`error_code!`](crate::error_code) calls it at compile time.
-#[doc(hidden)]
 pub const fn of_application(code: u16) -> u16 {
     let mut at = 0;
     while at < CODES.len() {
@@ -169,6 +168,6 @@ pub const fn of_application(code: u16) -> u16 {
 #[macro_export]
 macro_rules! error_code {
     ($code:expr) => {
-        const { $crate::emergency::of_application($code) }
+        const { $crate::private::of_application($code) }
     };
 }

@@ -7,7 +7,7 @@ use std::{cell::RefCell, rc::Rc};
 
 use canopen_node::{
     Application, Count,
-    application::{Dictionary, longest},
+    application::Dictionary,
     nmt,
     sdo::{Abort, Answer},
 };
@@ -230,7 +230,7 @@ fn abort(abort: program_update::Abort) -> Abort {
 
 impl Dictionary for Board {
     type Value = ();
-    type SdoBuffer = [u8; longest(&[])];
+    type SdoBuffer = [u8; 8];
     type Numbers = Count<0, 0, 0>;
 }
 
