@@ -112,7 +112,7 @@ fn stop_clear_download_restore_and_start_take_the_times_promised() {
         let what = format!("100 KB by blocks, {} kbit/s, {timing:?} flash", rate.kbit_per_s());
         check(&what, rig.time_to_download(100), Time::from_ms(most));
     }
-    for (timing, most) in [(typical, 2000), (worst, 5700)] {
+    for (timing, most) in [(typical, 2010), (worst, 5710)] {
         let mut rig = board(100, fast, timing);
         rig.time_to_stop();
         rig.time_to_clear();
