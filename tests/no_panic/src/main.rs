@@ -157,12 +157,12 @@ fn drive<A: Application>(node: &mut Node<A>) {
     black_box(black_box(&mut *node).application_mut());
     let (index, sub_index, data_type, value) = any((0, 0, 0, &[][..]));
     black_box(black_box(&mut *node).restore(&Parameter { index, sub_index, data_type, value }));
+    let mut packed = [0; 1024];
+    black_box(black_box(&mut *node).write_parameters(any(&[]), any(&mut packed)));
     let node = &*black_box(node);
     black_box(node.is_due(any_instant()));
     black_box((node.poll_at(), node.receives(), node.nmt_state(), node.node_id()));
     black_box((node.bit_rate(), node.is_listening(), node.lss().state()));
-    let mut packed = [0; 1024];
-    black_box(node.write_parameters(any(&[]), any(&mut packed)));
     black_box((node.active_bit_rate(), node.wants_to_send_more(), node.application()));
 }
 

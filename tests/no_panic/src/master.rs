@@ -29,7 +29,6 @@ pub fn command() {
     carry_out(Identify::address(address));
 
     let scan = Fastscan::new().with_known(any(AddressPart::SerialNumber), any_number());
-    let scan = if any(true) { scan.skipping_product_and_revision() } else { scan };
     let configure =
         Configure::node_id(NodeId::new(any(0))).with_bit_rate(any(BitRate::Kbit10).into());
     carry_out(Assign::scan(scan, any(configure)));

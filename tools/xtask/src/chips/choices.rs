@@ -55,9 +55,9 @@ fn check_pairs(part: Part, controller: usize, pairs: &[[(Pin, u32); 2]]) -> anyh
     let assigned: String = pairs.iter().map(assign).collect();
     let library = format!(
         "#![no_std]\n\
-         use canopen_stm32f4::can::{{CanPins, Receives, Transmits}};\n\
+         use canopen_stm32f4::can::{{CanPins, CanRx, CanTx}};\n\
          use stm32f4xx_hal::{{gpio::Pin, pac::CAN{controller}, rcc::Rcc}};\n\
-         fn assign<T: Transmits<CAN{controller}>, R: Receives<CAN{controller}>>(t: T, r: R, rcc: &mut Rcc) {{\n    \
+         fn assign<T: CanTx<CAN{controller}>, R: CanRx<CAN{controller}>>(t: T, r: R, rcc: &mut Rcc) {{\n    \
          let _ = CanPins::<CAN{controller}>::new(t, r, rcc);\n}}\n\
          pub fn all() {{\n{assigned}}}\n",
     );
