@@ -1,7 +1,12 @@
 //! The product around the protocol: its description, its application and its process data.
 
-use super::{areas::Owed, communication::Communication, stored::Persistent};
-use crate::{Application, BitRate, Device, NodeId, application::Event, nmt};
+use super::{areas::Owed, communication::Communication};
+use crate::{
+    Application, BitRate, Device, NodeId,
+    application::Event,
+    emergency,
+    nmt::{self, ErrorBehaviour},
+};
 
 #[derive(Clone, Debug)]
 pub(super) struct Product<A: Application> {
@@ -40,5 +45,21 @@ impl<A: Application> Product<A> {
             self.communication.pdos.follow(state, node);
             self.application.handle(Event::Nmt(state));
         }
+    }
+}
+
+/// The persistent parameters of a node without process data.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Persistent {
+    pub heartbeat_ms: u16,
+    pub error_behaviour: ErrorBehaviour,
+    pub emergency: emergency::Configuration,
+}
+
+impl Persistent {
+    /// The parameters of a new device with this producer heartbeat time.
+    pub const fn declared<A: Application>(heartbeat_ms: u16) -> Self {
+        let error_behaviour = A::ERROR_BEHAVIOUR;
+        Self { heartbeat_ms, error_behaviour, emergency: emergency::Configuration::DEFAULT }
     }
 }

@@ -3,7 +3,11 @@
 use lss_slave::bytes::copy;
 
 use super::{
-    Node, START, areas::Area, communication::Communication, objects::NodeObjects, product::Product,
+    Node, START,
+    areas::Area,
+    communication::Communication,
+    objects::NodeObjects,
+    product::{Persistent, Product},
     verification::Stamp,
 };
 use crate::{
@@ -16,14 +20,6 @@ use crate::{
     pdo::{self, Pdos},
     settings::parameters::{self, HEADER, Packer, Parameter},
 };
-
-/// The persistent parameters of a node without process data.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Persistent {
-    pub heartbeat_ms: u16,
-    pub error_behaviour: ErrorBehaviour,
-    pub emergency: emergency::Configuration,
-}
 
 /// The greatest number of bytes that the stored values of the node take.
 pub(super) const fn len<A: Application>() -> usize {
@@ -68,14 +64,6 @@ impl<A: Application> Node<A> {
         self.nmt.configure(heartbeat_ms, error_behaviour);
         self.emergency.configure(emergency);
         self.product.communication.reset();
-    }
-}
-
-impl Persistent {
-    /// The parameters of a new device with this producer heartbeat time.
-    pub const fn declared<A: Application>(heartbeat_ms: u16) -> Self {
-        let error_behaviour = A::ERROR_BEHAVIOUR;
-        Self { heartbeat_ms, error_behaviour, emergency: emergency::Configuration::DEFAULT }
     }
 }
 
