@@ -48,6 +48,8 @@ struct Chip {
     receives_all: Vec<bool>,
     refused_starts: usize,
     error: Option<BusError>,
+    /// How often it was asked to report the next error.
+    asked_for_errors: usize,
     state: BusState,
     sample: Sample,
     resets: usize,
@@ -114,6 +116,10 @@ impl Controller for Handle {
 
     fn take_error(&mut self) -> Option<BusError> {
         self.0.borrow_mut().error.take()
+    }
+
+    fn report_errors(&mut self) {
+        self.0.borrow_mut().asked_for_errors += 1;
     }
 
     fn error_counters(&self) -> (u8, u8) {
@@ -188,6 +194,7 @@ impl<A: Application> Board<A> {
             receives_all: Vec::new(),
             refused_starts: 0,
             error: None,
+            asked_for_errors: 0,
             state: BusState::Good,
             sample: IDLE,
             resets: 0,
@@ -468,6 +475,7 @@ fn only_errors_that_tell_of_another_rate_begin_a_search() {
         (BusError::BitDominant, false),
         (BusError::Stuff, true),
         (BusError::Crc, true),
+        (BusError::Form, true),
         (BusError::BitRecessive, true),
     ] {
         let mut board = searching();
@@ -830,6 +838,16 @@ fn the_bus_is_sampled_while_its_rate_is_not_proven_and_it_is_not_idle() {
     board.receive(&["04 00"]);
     board.handle_error(BusError::Stuff);
     assert_eq!(alarms_of_a_second(&mut board, |ms| ms % 2 == 1), 20, "a proven rate");
+}
+
+#[test]
+fn while_the_bus_is_sampled_the_controller_is_asked_for_the_next_error() {
+    let mut board = searching();
+    board.handle_error(BusError::Stuff);
+    board.chip().asked_for_errors = 0;
+    board.pass_ms(10);
+    let asked = board.chip().asked_for_errors;
+    assert!((8..=11).contains(&asked), "{asked} times in 10 ms");
 }
 
 #[test]
