@@ -211,3 +211,43 @@ fn a_trial_that_the_flash_does_not_note_is_not_started() {
     assert_eq!(start, Start::Program, "a word takes it");
     assert_eq!(device.alone().expect("power"), 0);
 }
+
+/// Both words of KEPT, by their offsets in BACKUP.
+fn kept(device: &mut Device) -> [u32; 2] {
+    [0x1D8, 0x1DC].map(|offset| device.chip.read(Area::Backup, offset))
+}
+
+#[test]
+fn one_word_of_a_confirmation_is_enough_and_a_start_completes_it() {
+    let (mut device, mut loader) = stopped();
+    device.update(&mut loader, 1).expect("power").expect("it is right");
+    device.start().expect("power");
+    device.chip.0.borrow_mut().stuck = vec![(Area::Backup, 0x1DC)];
+    let _ = device.confirm().expect("power");
+    assert_eq!(kept(&mut device), [journal::SET, u32::MAX]);
+    device.chip.0.borrow_mut().stuck.clear();
+    device.power_on();
+    assert!(matches!(device.start().expect("power"), Runs::Program(false)));
+    assert_eq!(kept(&mut device), [journal::SET; 2]);
+}
+
+#[test]
+fn a_restore_takes_back_both_words_of_the_confirmation() {
+    let (mut device, mut loader) = stopped();
+    device.update(&mut loader, 1).expect("power").expect("it is right");
+    device.start().expect("power");
+    device.confirm().expect("power").expect("it is confirmed");
+    assert_eq!(kept(&mut device), [journal::SET; 2]);
+    let mut damaged = file(1, 20);
+    damaged[515] ^= 4;
+    device.chip.put(Area::Run, &damaged);
+    assert_eq!(device.alone().expect("power"), 0);
+    assert_eq!(kept(&mut device), [journal::VOID; 2]);
+}
+
+#[test]
+fn a_loader_that_finds_nothing_to_restore_starts_the_program() {
+    let (device, _) = stopped();
+    let mut loader = device.loader(Why::Restore);
+    assert_eq!(loader.poll(device.now), Some(Action::Reset));
+}
