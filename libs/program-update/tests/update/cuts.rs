@@ -39,8 +39,8 @@ fn update(device: &mut Device, to: usize, trial: Trial, may: &mut May) -> Result
     for _ in 0..10 {
         match device.start()? {
             Runs::Program(_) if device.number() == to => {
-                has_failed = true;
                 if trial == Trial::Fails {
+                    has_failed = true;
                     continue;
                 }
                 may.be.push(to);
