@@ -452,6 +452,37 @@ fn lss_answers_of_the_example_take_less_than_4_us() {
     note_most("SDO upload", &mut spans, SDO_CYCLES, INTERRUPT_CYCLES);
 }
 
+/// What was stored becomes the persistent values of the node, while its controller has room for three frames.
+#[test]
+fn the_end_of_a_save_of_all_pdos_delays_an_lss_answer_by_less_than_20_us() {
+    let mut rig = node_1();
+    for (index, cob_id) in (0..4).zip((1..).step_by(0x100)) {
+        map_pdo(&mut rig, 0x1400 + index, 0x200 + cob_id, &[ECHO_SENT; 8]);
+        map_pdo(&mut rig, 0x1800 + index, 0x180 + cob_id, &[ECHO_RETURNED; 8]);
+    }
+    rig.lss("04 01");
+    let save = |rig: &mut ImageRig| {
+        rig.collect(Time::from_ms(20));
+        rig.transmit(on_the_wire(&sdo::request(1, "23 10 10 01 73 61 76 65")))
+    };
+    let end = save(&mut rig);
+    rig.collect(Time::from_ms(20));
+    let whole = requested(&rig, 0x581, end).0 - end;
+    let before = |us: u64| Time::from_us(100 + us);
+    let mut spans = Vec::new();
+    for us in (0..200).step_by(10) {
+        // As long a record again: the heartbeat time.
+        write(&mut rig, &[&format!("2B 17 10 00 00 {us:02X}")]);
+        let end = save(&mut rig);
+        rig.network.run_for(end + whole - before(us) - rig.network.now());
+        let end = rig.transmit_request("5A");
+        rig.collect(Time::from_ms(20));
+        let valid = valid(&rig, end);
+        spans.push(cycles(valid, requested(&rig, 0x7E4, valid).0));
+    }
+    note("LSS answer at the end of a save", &spans, ANSWER_CYCLES + INTERRUPT_CYCLES);
+}
+
 /// Node 1 is operational, echoes its RPDO by TPDO 1, sends TPDO 2 at each SYNC, and a heartbeat every 7 ms.
 fn busy_node() -> ImageRig {
     let mut rig = node_1();

@@ -145,25 +145,31 @@ fn only_cob_ids_at_their_default_follow_a_new_node_id() {
 
 #[test]
 fn reset_communication_in_a_store_returns_to_the_parameters_before_it() {
-    for outcome in [Ok(()), Err(StoreError::MediumAccess)] {
-        let mut board = board();
-        let declared = parameters(&mut board);
-        change_all(&mut board);
-        let changed = parameters(&mut board);
-        board.let_stores_take_time();
-        assert_eq!(board.sdo("23 10 10 02 73 61 76 65"), SILENCE);
-        board.nmt("82 40");
-        assert_eq!(parameters(&mut board), declared, "nothing is persistent yet");
-        set(&mut board, 0x1005, 0, 0x85, 4);
-        match outcome {
-            Ok(()) => board.finish_store(),
-            failure => board.end_store(failure),
-        };
-        let stored = if outcome.is_ok() { &changed } else { &declared };
-        board.nmt("82 40");
-        assert_eq!(parameters(&mut board), *stored, "after {outcome:?}");
-        board.power_cycle();
-        assert_eq!(parameters(&mut board), *stored, "after {outcome:?}");
+    for (resets, writes) in [(true, true), (true, false), (false, true)] {
+        for outcome in [Ok(()), Err(StoreError::MediumAccess)] {
+            let mut board = board();
+            let declared = parameters(&mut board);
+            change_all(&mut board);
+            let changed = parameters(&mut board);
+            board.let_stores_take_time();
+            assert_eq!(board.sdo("23 10 10 02 73 61 76 65"), SILENCE);
+            if resets {
+                board.nmt("82 40");
+                assert_eq!(parameters(&mut board), declared, "nothing is persistent yet");
+            }
+            if writes {
+                set(&mut board, 0x1005, 0, 0x85, 4);
+            }
+            match outcome {
+                Ok(()) => board.finish_store(),
+                failure => board.end_store(failure),
+            };
+            let stored = if outcome.is_ok() { &changed } else { &declared };
+            board.nmt("82 40");
+            assert_eq!(parameters(&mut board), *stored, "after {outcome:?}, {resets}, {writes}");
+            board.power_cycle();
+            assert_eq!(parameters(&mut board), *stored, "after {outcome:?}, {resets}, {writes}");
+        }
     }
 }
 

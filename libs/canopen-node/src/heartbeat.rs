@@ -64,6 +64,11 @@ impl<N: Numbers> Consumer<N> {
         Self { producers, persistent: producers, watches: List::UNUSED }
     }
 
+    /// Makes the entries in use the persistent ones.
+    pub fn keep_current(&mut self) {
+        self.persistent = self.producers;
+    }
+
     /// Restarts as after power-on, with the persistent entries.
     pub fn reset(&mut self) {
         self.producers = self.persistent;

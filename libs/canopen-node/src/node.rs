@@ -83,6 +83,8 @@ struct Storing {
     store: Store,
     /// LSS store configuration requests that have not been answered.
     lss_requests: u8,
+    /// The parameters of communication in use are still those that the store in progress has packed.
+    is_as_packed: bool,
     /// An SDO request whose store has not begun.
     sdo_request: Option<Owed>,
     verification: Verification,
@@ -163,6 +165,7 @@ impl<A: Application> Node<A> {
                 persistent,
                 store: Store::Idle,
                 lss_requests: 0,
+                is_as_packed: false,
                 sdo_request: None,
                 verification: Verification::new(),
                 written: Written::NOTHING,
@@ -403,7 +406,9 @@ impl<A: Application> Node<A> {
                 }
             }
         }
-        packer.len()
+        let len = packer.len();
+        self.storing.is_as_packed = true;
+        len
     }
 
     /// Records the outcome of the last [`Action::Store`]: the packed parameters that are persistent now, as
@@ -412,8 +417,8 @@ impl<A: Application> Node<A> {
         let Store::Running(settings, requester) = self.storing.store else {
             return;
         };
-        if let (Ok(parameters), Some(_)) = (outcome, self.storing.download()) {
-            self.replace_persistent(parameters);
+        if let (Ok(parameters), Some(download)) = (outcome, self.storing.download()) {
+            self.replace_persistent(parameters, Area::Communication.change(Some(download)));
         }
         self.storing.store = Store::Done(outcome.map(|_| ()), requester);
         if outcome.is_ok() {

@@ -152,6 +152,12 @@ impl<N: Numbers> Pdos<N> {
         self.current.save(to);
     }
 
+    /// Makes the parameters in use the persistent ones.
+    pub fn keep_current(&mut self) {
+        self.persistent = self.current;
+        self.persistent.remove_unused();
+    }
+
     /// Restarts as after power-on, with the persistent parameters.
     pub fn reset(&mut self) {
         if Self::IS_USED {

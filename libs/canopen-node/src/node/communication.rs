@@ -93,6 +93,14 @@ impl<N: Numbers> Communication<N> {
         }
     }
 
+    /// Makes the parameters in use the persistent ones.
+    pub fn keep_current(&mut self) {
+        if Self::IS_USED {
+            self.pdos.keep_current();
+            self.consumer.keep_current();
+        }
+    }
+
     /// Makes the parameters persistent that the application declares.
     pub fn forget_stored<A: Application>(&mut self)
     where

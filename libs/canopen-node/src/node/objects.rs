@@ -302,6 +302,7 @@ impl<A: Application> Objects for NodeObjects<'_, A> {
             }
             (object, value) => {
                 let is_new = self.number(entry) != Some(value);
+                self.storing.is_as_packed = false;
                 self.write_number(object, value)?;
                 if object != Object::NumberOfErrors && is_new {
                     self.storing.verification.clear();

@@ -4,7 +4,7 @@ use lss_slave::bytes::copy;
 
 use super::{
     Node, START,
-    areas::Area,
+    areas::{Area, Change},
     communication::Communication,
     objects::NodeObjects,
     product::{Persistent, Product},
@@ -16,7 +16,7 @@ use crate::{
     emergency,
     nmt::ErrorBehaviour,
     numbers::Numbers,
-    object_dictionary::{Entry, Object, TABLE},
+    object_dictionary::{self, Entry, Object, TABLE},
     pdo::{self, Pdos},
     settings::parameters::{self, HEADER, Packer, Parameter},
 };
@@ -48,14 +48,38 @@ const fn len_of(mut table: &[Entry]) -> usize {
 }
 
 impl<A: Application> Node<A> {
-    /// Makes these packed parameters the persistent ones, and all others the declared ones.
-    pub(super) fn replace_persistent(&mut self, parameters: &[u8]) {
+    /// Makes these packed parameters the persistent ones, after a store with this effect on communication.
+    ///
+    /// To unpack the parameters of communication takes 0.1 ms and more, while no frame is received. So it is done only if
+    /// one of them has changed since they were packed.
+    pub(super) fn replace_persistent(&mut self, parameters: &[u8], of_communication: Change) {
         let Product { device, communication, persistent, .. } = &mut self.product;
-        *persistent = Persistent::declared::<A>(device.heartbeat_ms);
-        communication.forget_stored::<A>();
+        let is_unpacked = match of_communication {
+            Change::Keep => false,
+            Change::Renew if self.storing.is_as_packed => {
+                *persistent = Persistent {
+                    heartbeat_ms: self.nmt.heartbeat_ms(),
+                    error_behaviour: self.nmt.error_behaviour(),
+                    emergency: self.emergency.configuration,
+                };
+                communication.keep_current();
+                false
+            }
+            Change::Renew | Change::Remove => {
+                *persistent = Persistent::declared::<A>(device.heartbeat_ms);
+                communication.forget_stored::<A>();
+                true
+            }
+        };
         self.storing.verification.persistent = Stamp::NONE;
         let mut objects = self.objects(START).0;
-        parameters::unpack(parameters).for_each(|parameter| _ = objects.take(&parameter));
+        for parameter in parameters::unpack(parameters) {
+            match Area::of(parameter.index) {
+                Area::Communication if !is_unpacked => {}
+                Area::Communication | Area::Verification => _ = objects.take(&parameter),
+                Area::Application => {}
+            }
+        }
     }
 
     /// Gives the parameters of communication their persistent values.
@@ -64,6 +88,7 @@ impl<A: Application> Node<A> {
         self.nmt.configure(heartbeat_ms, error_behaviour);
         self.emergency.configure(emergency);
         self.product.communication.reset();
+        self.storing.is_as_packed = false;
     }
 }
 
@@ -115,7 +140,7 @@ impl<A: Application> NodeObjects<'_, A> {
     pub fn take(&mut self, parameter: &Parameter<'_>) -> Option<()> {
         let Parameter { index, sub_index, data_type, value } = *parameter;
         let table = Communication::<A::Numbers>::table(index).unwrap_or(TABLE);
-        let entry = table.iter().find(|row| (row.index, row.sub_index) == (index, sub_index))?;
+        let entry = object_dictionary::find(table, index, sub_index).ok()?;
         let Product { communication, persistent, .. } = self.product;
         if !entry.options.is_stored() {
             return match Pdos::<A::Numbers>::IS_USED {

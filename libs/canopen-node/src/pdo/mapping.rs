@@ -211,6 +211,11 @@ impl Mapping {
         self.entries().map(code)
     }
 
+    /// Removes the entries behind sub-index 0.
+    pub fn remove_unused(&mut self) {
+        self.mapped.iter_mut().skip(self.number.into()).for_each(|entry| *entry = None);
+    }
+
     fn entries(&self) -> impl Iterator<Item = &'static Entry> {
         self.mapped.iter().take(self.number()).filter_map(|entry| *entry)
     }

@@ -35,6 +35,12 @@ impl<N: Numbers> Configuration<N> {
             + N::TPDOS * (HEADER + 4 * (Pdo::stored_parameters(Direction::Transmit) + MAX_MAPPED))
     };
 
+    /// Removes what is not stored: the entries of mappings that the PDO does not carry.
+    pub fn remove_unused(&mut self) {
+        let pdos = self.tpdos.as_mut().iter_mut().chain(self.rpdos.as_mut());
+        pdos.for_each(|pdo| pdo.mapping.remove_unused());
+    }
+
     /// Packs the PDOs, but for the event timers of RPDOs.
     pub fn save(&self, to: &mut Packer<'_>) {
         for (index, rpdo) in (RPDO_PARAMETER..).zip(self.rpdos.as_ref()) {
